@@ -1,0 +1,22 @@
+# Everything comes from Debian 12 packages (tools/install_deps.sh lists them).
+# OpenVDB brings its find modules along, outside of CMake's default search path.
+find_path(VDBCARVE_OPENVDB_MODULES FindOpenVDB.cmake
+  PATH_SUFFIXES lib/${CMAKE_LIBRARY_ARCHITECTURE}/cmake/OpenVDB lib/cmake/OpenVDB lib64/cmake/OpenVDB
+  PATHS /usr /usr/local NO_CACHE)
+if(VDBCARVE_OPENVDB_MODULES)
+  list(APPEND CMAKE_MODULE_PATH ${VDBCARVE_OPENVDB_MODULES})
+endif()
+# FindOpenVDB links Boost and TBB through modules that newer CMake calls deprecated; that is theirs to mend.
+set(CMAKE_WARN_DEPRECATED OFF CACHE INTERNAL "")
+set(OpenVDB_FIND_QUIETLY ON)
+find_package(TBB REQUIRED)
+find_package(Imath REQUIRED)
+find_package(OpenVDB REQUIRED)
+find_package(Eigen3 REQUIRED)
+find_package(OpenCV REQUIRED COMPONENTS core imgproc imgcodecs calib3d)
+set(VDBCARVE_OPENCV_LIBRARIES opencv_core opencv_imgproc opencv_imgcodecs opencv_calib3d)
+find_package(OpenMesh REQUIRED)
+set(VDBCARVE_OPENMESH_LIBRARIES OpenMeshCore)
+find_package(CLI11 REQUIRED)
+find_package(spdlog REQUIRED)
+find_package(nlohmann_json REQUIRED)

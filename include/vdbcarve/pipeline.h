@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// The whole job: a scene becomes a folder of results, stage by stage, resumable.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "vdbcarve/distance.h"
+#include "vdbcarve/geometry.h"
+#include "vdbcarve/mask.h"
+#include "vdbcarve/progress.h"
+#include "vdbcarve/triangle_mesh.h"
+#include "vdbcarve/views.h"
+
+namespace vdbcarve {
+
+enum class Backend { Auto, Cpu, Cuda };
+
+/// The last stage to run.
+enum class LastStage { Mask, Carve, Export };
+
+struct ReconstructOptions {
+    ViewsOptions views;
+    MaskOptions mask;
+    DistanceOptions distance;
+
+    // The grid: at most one of resolution, voxel_size and grid.
+    int resolution = 0;                              ///< voxels along the longest side of the bounds
+    double voxel_size = 0;                           ///< world units
+    std::optional<std::array<int, 3>> grid;          ///< voxels along x, y, z
+    std::optional<Box3d> bounds;                     ///< world; none: found from the silhouettes
+    std::optional<Vec3d> origin;                     ///< of the voxel lattice, world
+
+    int max_misses = 0;
+    double min_seen = 0.6;
+    bool outside_is_background = false;
+    bool occupancy = false;
+    int half_width_vox = 3;
+    double adaptivity = 0;
+
+    std::filesystem::path output;
+    std::vector<std::string> mesh_formats{"ply"};
+    Backend backend = Backend::Auto;
+    LastStage last_stage = LastStage::Export;
+    bool force = false;                              ///< write into a folder that vdbcarve did not make
+    bool dry_run = false;                            ///< plan only
+    std::string config_text;                         ///< effective configuration, written as config.toml
+    std::function<void(const std::string& json)> on_stage;  ///< one JSON object when a stage ends
+};
+
+struct Reconstruction {
+    std::string report_json;  ///< what report.json holds (of a dry run: the plan)
+    MeshMeasures mesh;
+    double median_iou = 0, minimum_iou = 0;
+};
+
+/// Runs the stages that are not already in output/stages for the same inputs, options and code version.
+/// Files of the result appear by rename; the same inputs give the same bytes (report.json and config.toml
+/// apart, which hold times and paths). Throws Error.
+Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress);
+
+/// Empties output/stages of a folder that vdbcarve made; results stay. Returns the bytes freed.
+size_t clean(const std::filesystem::path& output);
+
+}  // namespace vdbcarve

@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// Meshes seen by cameras: silhouettes and depth at pixel centres, agreement with masks, a contact sheet.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "vdbcarve/geometry.h"
+#include "vdbcarve/image.h"
+#include "vdbcarve/triangle_mesh.h"
+
+namespace vdbcarve {
+
+/// What the ray through each pixel centre hits first.
+struct Raster {
+    ImageF depth;                ///< camera z, world units; infinity where nothing is hit
+    Image<uint32_t> face;        ///< index of the triangle, UINT32_MAX where nothing is hit
+};
+
+/// Exact at pixel centres; triangles that touch the camera plane are left out. Single-threaded.
+Raster rasterize(const Mesh& mesh, const Camera& camera);
+
+/// 255 where the ray through the pixel centre hits the mesh.
+Image8 silhouette_of(const Mesh& mesh, const Camera& camera);
+
+/// Share of each pixel covered by the mesh, 0..255, from samples x samples rays a pixel.
+Image8 coverage_of(const Mesh& mesh, const Camera& camera, int samples);
+
+/// The same camera with an image of `factor` times as many pixels a side.
+Camera scaled(const Camera& camera, double factor);
+
+/// How well a mesh's silhouette agrees with a mask. Ignored pixels are left out.
+struct SilhouetteAgreement {
+    double iou = 0;                     ///< |hit and mask| / |hit or mask|; 1 when both are empty
+    double contour_p95_px = 0;          ///< distance between the two contours, 95th percentile
+    double contour_p99_px = 0;
+    size_t missed_px = 0, extra_px = 0;  ///< mask not hit; hit outside the mask
+};
+SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask);
+
+/// One picture of up to 12 evenly chosen views: the mesh, shaded, over the darkened photograph; red where the
+/// mask is missed, blue where the mesh sticks out. `photos` may hold empty images.
+struct PreviewView {
+    std::string name;
+    Camera camera;
+    Image8 photo;  ///< RGB, RGBA or grey, undistorted, any size; empty: black
+    Image8 mask;
+};
+Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views);
+
+}  // namespace vdbcarve

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stage `views`: camera files and photographs become one list of views in one convention.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "vdbcarve/geometry.h"
+#include "vdbcarve/progress.h"
+
+namespace vdbcarve {
+
+/// One photograph and its camera.
+struct View {
+    std::string name;                   ///< as the camera file spells it, folders included
+    std::filesystem::path image_path;   ///< the photograph; empty where there is none
+    std::filesystem::path mask_path;    ///< named by the camera file; empty where it names none
+    Camera camera;                      ///< pinhole (or orthographic), after the lens was removed
+    Lens lens;                          ///< what has to be removed from image and mask
+    std::string sitting = "0";          ///< which sitting of the object this view belongs to
+};
+
+/// The object may be turned over or moved between two rounds of photographs: each round is a sitting, with
+/// its own transform into the scene: x_scene = scene_from_sitting.rotation * (scale * x_sitting)
+/// + scale * scene_from_sitting.translation.
+struct Sitting {
+    std::string id = "0";
+    Rigid3 scene_from_sitting;
+    double scale = 1.0;
+};
+
+struct Views {
+    std::vector<View> views;
+    std::vector<Sitting> sittings{Sitting{}};
+    std::filesystem::path camera_file;  ///< where the cameras came from
+    std::string format;                 ///< name of the importer
+    std::string up;                     ///< world up axis: "x", "y", "z", "-x", … or empty when unknown
+    std::string units;                  ///< length unit of the world, or empty when unknown
+    bool metric = true;                 ///< false: a projective world, without angles and distances
+
+    /// The cameras in the scene's frame, every sitting's transform applied.
+    std::vector<Camera> cameras() const;
+};
+
+enum class PixelCentre { Default, Corner, Integer };
+
+struct ViewsOptions {
+    std::filesystem::path scene;         ///< folder with images/, masks/, camera files, or photos directly
+    std::filesystem::path images;        ///< overrides where images are looked for
+    std::filesystem::path cameras;       ///< overrides which camera file is read
+    PixelCentre pixel_centre = PixelCentre::Default;  ///< overrides the format's rule
+    bool accept_non_metric = false;      ///< carve in a projective world all the same
+    bool allow_missing = false;          ///< leave out views whose image or mask is missing
+    std::string up, units;               ///< override what the file says
+};
+
+/// Finds and reads the camera file of a scene and resolves its images. Order of search, first match by
+/// content: transforms.json, transforms_train.json, our cameras.json, sparse/0, sparse, colmap, the
+/// folder itself (COLMAP, binary before text), *_par.txt, *.pa. Views come in natural order of names.
+/// Throws InputError naming the file, view, value and remedy.
+Views load_views(const ViewsOptions& options, Progress& progress);
+
+/// Throws InputError for cameras that cannot be carved with (not finite, left-handed, no focal length, no
+/// size …); every bad field of the first bad view is named.
+void check_views(const Views& views);
+
+/// The text of a cameras.json: transforms.json form with a `vdbcarve` object for what that form cannot say.
+/// Reading it again gives the same cameras to 1e-12.
+std::string cameras_json(const Views& views, const std::filesystem::path& relative_to = {});
+
+/// "image_2" before "image_10".
+bool natural_less(const std::string& a, const std::string& b);
+
+/// Width and height of an image file, from its header where that is simple. Throws InputError.
+std::pair<int, int> image_size(const std::filesystem::path& file);
+
+}  // namespace vdbcarve

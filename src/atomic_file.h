@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// Files that appear whole or not at all. Private.
+#pragma once
+
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+namespace vdbcarve {
+
+/// Writes to a temporary name in the same folder; commit() renames it into place, and without that the
+/// destructor removes it. Throws OutputError naming the file.
+class AtomicFile {
+  public:
+    explicit AtomicFile(std::filesystem::path file);
+    ~AtomicFile();
+    AtomicFile(const AtomicFile&) = delete;
+    AtomicFile& operator=(const AtomicFile&) = delete;
+
+    std::ostream& stream() { return out_; }
+    const std::filesystem::path& temporary() const { return temporary_; }
+    /// Closes the stream if it is open, checks it, and renames.
+    void commit();
+
+  private:
+    std::filesystem::path file_, temporary_;
+    std::ofstream out_;
+    bool done_ = false;
+};
+
+void write_file(const std::filesystem::path& file, const std::string& content);
+void write_file(const std::filesystem::path& file, const void* data, size_t bytes);
+
+/// Makes the folder and its parents. Throws OutputError.
+void make_folder(const std::filesystem::path& folder);
+
+/// `target` becomes a copy of `source`; by rename.
+void place_copy(const std::filesystem::path& source, const std::filesystem::path& target);
+
+}  // namespace vdbcarve

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+// Automatic bounds: where could the object be, judged by the silhouettes alone?
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "vdbcarve/carve.h"
+
+namespace vdbcarve {
+namespace {
+
+/// Bounding box of what a silhouette covers, image coordinates.
+std::optional<Eigen::AlignedBox2d> silhouette_box(const CarveInput& input) {
+    Eigen::AlignedBox2d box;
+    const ImageView<float>& s = input.silhouette_px;
+    for (int y = 0; y < s.height; ++y)
+        for (int x = 0; x < s.width; ++x)
+            if (s.at(x, y) <= 0) box.extend(Vec2d(x + 0.5, y + 0.5));
+    if (box.isEmpty()) return std::nullopt;
+    return box;
+}
+
+double median(std::vector<double> v) {
+    const auto mid = v.begin() + static_cast<long>(v.size() / 2);
+    std::nth_element(v.begin(), mid, v.end());
+    return *mid;
+}
+
+/// Box of the voxels that may hold a piece of the hull, grown by half a voxel. A point of the hull is at most
+/// sqrt(3)/2 voxel from a voxel centre, and there v, a lower bound of the distance, is below one voxel.
+Box3d box_of_hull(const openvdb::FloatGrid& hull, const Lattice& lattice) {
+    openvdb::CoordBBox found;
+    const auto one = static_cast<float>(lattice.voxel_size);
+    for (auto it = hull.cbeginValueOn(); it; ++it)
+        if (*it < one) found.expand(it.getCoord());
+    Box3d box;
+    if (found.empty()) return box;
+    const auto corner = [&](const openvdb::Coord& c, double shift) {
+        return lattice.world_from_index(Vec3d(c.x() + shift, c.y() + shift, c.z() + shift));
+    };
+    box.extend(corner(found.min(), -0.5));
+    box.extend(corner(found.max(), 0.5));
+    return box;
+}
+
+}  // namespace
+
+Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions& given, Progress& progress) {
+    // Start: the point nearest to the rays through the silhouettes' middles, and their size there.
+    Mat3d normal = Mat3d::Zero();
+    Vec3d right = Vec3d::Zero();
+    std::vector<std::pair<const CarveInput*, Eigen::AlignedBox2d>> boxes;
+    for (const CarveInput& input : inputs) {
+        const auto box = silhouette_box(input);
+        if (!box) continue;
+        boxes.emplace_back(&input, *box);
+        const Camera::Ray ray = input.camera.ray(box->center());
+        const Mat3d across = Mat3d::Identity() - ray.direction * ray.direction.transpose();
+        normal += across;
+        right += across * ray.origin;
+    }
+    if (boxes.empty()) throw InputError("no view shows the object: all silhouettes are empty");
+    const Eigen::SelfAdjointEigenSolver<Mat3d> eigen(normal);
+    if (boxes.size() < 2 || eigen.eigenvalues()[0] < 1e-6 * eigen.eigenvalues()[2])
+        throw UndeterminedError("all views look along the same line, so how deep the object is cannot be told. Remedy: give --bounds");
+    const Vec3d centre = normal.ldlt().solve(right);
+    std::vector<double> radii;
+    for (const auto& [input, box] : boxes) {
+        const Intrinsics& k = input->camera.intrinsics;
+        const double depth = k.orthographic ? 1.0 : (input->camera.camera_from_world * centre).z();
+        if (depth > 0) radii.push_back(0.5 * box.diagonal().norm() * depth / std::min(k.fx, k.fy));
+    }
+    if (radii.size() * 2 < boxes.size())
+        throw ContradictionError("the silhouettes' lines of sight meet behind most cameras: the cameras look away from the object. "
+                                 "Remedy: check the camera file's axes (OpenGL cameras in an OpenCV format, or the reverse?)");
+    Box3d box(centre - Vec3d::Constant(1.5 * median(radii)), centre + Vec3d::Constant(1.5 * median(radii)));
+
+    CarveOptions options = given;
+    options.occupancy = false;
+    options.brick.reset();
+    options.half_width_vox = 3;
+    const auto carve_in = [&](const Box3d& b, int side_vox) {
+        options.bounds_world = b;
+        options.lattice.voxel_size = b.sizes().maxCoeff() / side_vox;
+        options.lattice.origin_world = b.min();
+        Progress quiet;
+        progress.check();
+        return carve(inputs, options, quiet);
+    };
+    // Grow until the hull stands free of the box.
+    constexpr int kGrowths = 6;
+    for (int growth = 0;; ++growth) {
+        const CarveResult coarse = carve_in(box, 64);
+        const Box3d hull = box_of_hull(*coarse.hull, options.lattice);
+        const double margin = 1.5 * options.lattice.voxel_size;
+        Box3d next;
+        bool free = true;
+        for (int a = 0; a < 3; ++a) {
+            if (hull.min()[a] < box.min()[a] + margin || hull.max()[a] > box.max()[a] - margin) free = false;
+        }
+        if (free) {
+            box = hull;
+            break;
+        }
+        if (growth == kGrowths)
+            throw UndeterminedError("the silhouettes do not bound the object: the hull still reaches the border of a box of " +
+                                    std::to_string(box.sizes().maxCoeff()) + " units around (" + std::to_string(centre.x()) + ", " +
+                                    std::to_string(centre.y()) + ", " + std::to_string(centre.z()) +
+                                    "). Remedy: give --bounds, or add views from other directions");
+        // Only the sides that were reached move out; the others close in.
+        Vec3d lo = hull.min() - Vec3d::Constant(2 * margin), hi = hull.max() + Vec3d::Constant(2 * margin);
+        const Vec3d size = box.sizes();
+        for (int a = 0; a < 3; ++a) {
+            if (hull.min()[a] < box.min()[a] + margin) lo[a] = box.min()[a] - 0.75 * size[a];
+            if (hull.max()[a] > box.max()[a] - margin) hi[a] = box.max()[a] + 0.75 * size[a];
+        }
+        box = Box3d(lo, hi);
+    }
+    // Close in with finer voxels: the box ends within a percent of the hull.
+    for (const int side_vox : {96, 160}) {
+        const Vec3d pad = Vec3d::Constant(0.02 * box.sizes().maxCoeff());
+        const CarveResult finer = carve_in(Box3d(box.min() - pad, box.max() + pad), side_vox);
+        const Box3d hull = box_of_hull(*finer.hull, options.lattice);
+        if (!hull.isEmpty()) box = hull;
+    }
+    const Vec3d pad = Vec3d::Constant(0.005 * box.sizes().maxCoeff());
+    return {box.min() - pad, box.max() + pad};
+}
+
+}  // namespace vdbcarve

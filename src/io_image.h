@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reading, writing and undistorting pictures through OpenCV. Private: OpenCV appears in no header.
+#pragma once
+
+#include <filesystem>
+
+#include "vdbcarve/geometry.h"
+#include "vdbcarve/image.h"
+
+namespace vdbcarve::io {
+
+/// 8-bit pixels with 1 (grey), 3 (RGB) or 4 (RGBA) channels; 16-bit files are rounded to 8 bits in a way
+/// that keeps every pixel on its side of 1/2. EXIF orientation is not applied: cameras belong to the
+/// pixels as stored. Throws InputError naming the file.
+Image8 read_image8(const std::filesystem::path& file);
+
+/// PNG bytes of a grey, RGB or RGBA picture. Deterministic.
+std::vector<uint8_t> encode_png(ImageView<uint8_t> image);
+
+/// The picture that a camera with the same intrinsics and no lens distortion would have taken, linear
+/// interpolation. `outside` (optional) becomes 255 where the source picture has no pixel.
+Image8 undistort(ImageView<uint8_t> image, const Intrinsics& intrinsics, const Lens& lens, Image8* outside);
+
+/// Smaller copy by area averaging.
+Image8 downscale(ImageView<uint8_t> image, int width, int height);
+
+}  // namespace vdbcarve::io

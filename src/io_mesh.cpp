@@ -1,0 +1,203 @@
+// SPDX-License-Identifier: Apache-2.0
+// Mesh files. Reading goes through OpenMesh's parsers, straight into plain arrays (no half-edges, so that
+// meshes with complex edges can be read and reported); writing is ours, for byte-identical files.
+#include <OpenMesh/Core/IO/IOManager.hh>
+#include <OpenMesh/Core/IO/importer/BaseImporter.hh>
+#include <OpenMesh/Core/Mesh/TriMesh_ArrayKernelT.hh>
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "atomic_file.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/triangle_mesh.h"
+
+namespace vdbcarve {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+class ArrayImporter : public OpenMesh::IO::BaseImporter {
+  public:
+    explicit ArrayImporter(Mesh& mesh) : mesh_(mesh) {}
+
+    OpenMesh::VertexHandle add_vertex(const OpenMesh::Vec3f& p) override {
+        mesh_.vertices.push_back({p[0], p[1], p[2]});
+        return OpenMesh::VertexHandle(static_cast<int>(mesh_.vertices.size()) - 1);
+    }
+    OpenMesh::VertexHandle add_vertex() override { return add_vertex(OpenMesh::Vec3f(0, 0, 0)); }
+    OpenMesh::FaceHandle add_face(const VHandles& v) override {
+        for (size_t i = 2; i < v.size(); ++i)
+            mesh_.triangles.push_back({static_cast<uint32_t>(v[0].idx()), static_cast<uint32_t>(v[i - 1].idx()), static_cast<uint32_t>(v[i].idx())});
+        return OpenMesh::FaceHandle(static_cast<int>(faces_++));
+    }
+    void set_point(OpenMesh::VertexHandle v, const OpenMesh::Vec3f& p) override { mesh_.vertices[static_cast<size_t>(v.idx())] = {p[0], p[1], p[2]}; }
+    // Everything else that a file may say is not wanted.
+    OpenMesh::FaceHandle add_face(OpenMesh::HalfedgeHandle) override { return OpenMesh::FaceHandle(); }
+    OpenMesh::HalfedgeHandle add_edge(OpenMesh::VertexHandle, OpenMesh::VertexHandle) override { return OpenMesh::HalfedgeHandle(); }
+    void set_halfedge(OpenMesh::VertexHandle, OpenMesh::HalfedgeHandle) override {}
+    void set_next(OpenMesh::HalfedgeHandle, OpenMesh::HalfedgeHandle) override {}
+    void set_face(OpenMesh::HalfedgeHandle, OpenMesh::FaceHandle) override {}
+    void request_face_texcoords2D() override {}
+    void set_normal(OpenMesh::VertexHandle, const OpenMesh::Vec3f&) override {}
+    void set_normal(OpenMesh::VertexHandle, const OpenMesh::Vec3d&) override {}
+    void set_normal(OpenMesh::FaceHandle, const OpenMesh::Vec3f&) override {}
+    void set_normal(OpenMesh::FaceHandle, const OpenMesh::Vec3d&) override {}
+    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec3uc&) override {}
+    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec4uc&) override {}
+    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec3f&) override {}
+    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec4f&) override {}
+    void set_color(OpenMesh::FaceHandle, const OpenMesh::Vec3uc&) override {}
+    void set_color(OpenMesh::FaceHandle, const OpenMesh::Vec4uc&) override {}
+    void set_color(OpenMesh::FaceHandle, const OpenMesh::Vec3f&) override {}
+    void set_color(OpenMesh::FaceHandle, const OpenMesh::Vec4f&) override {}
+    void set_color(OpenMesh::EdgeHandle, const OpenMesh::Vec3uc&) override {}
+    void set_color(OpenMesh::EdgeHandle, const OpenMesh::Vec4uc&) override {}
+    void set_color(OpenMesh::EdgeHandle, const OpenMesh::Vec3f&) override {}
+    void set_color(OpenMesh::EdgeHandle, const OpenMesh::Vec4f&) override {}
+    void set_texcoord(OpenMesh::VertexHandle, const OpenMesh::Vec2f&) override {}
+    void set_texcoord(OpenMesh::HalfedgeHandle, const OpenMesh::Vec2f&) override {}
+    void set_texcoord(OpenMesh::VertexHandle, const OpenMesh::Vec3f&) override {}
+    void set_texcoord(OpenMesh::HalfedgeHandle, const OpenMesh::Vec3f&) override {}
+    void set_status(OpenMesh::VertexHandle, const OpenMesh::Attributes::StatusInfo&) override {}
+    void set_status(OpenMesh::HalfedgeHandle, const OpenMesh::Attributes::StatusInfo&) override {}
+    void set_status(OpenMesh::EdgeHandle, const OpenMesh::Attributes::StatusInfo&) override {}
+    void set_status(OpenMesh::FaceHandle, const OpenMesh::Attributes::StatusInfo&) override {}
+    void add_face_texcoords(OpenMesh::FaceHandle, OpenMesh::VertexHandle, const std::vector<OpenMesh::Vec2f>&) override {}
+    void add_face_texcoords(OpenMesh::FaceHandle, OpenMesh::VertexHandle, const std::vector<OpenMesh::Vec3f>&) override {}
+    void set_face_texindex(OpenMesh::FaceHandle, int) override {}
+    void add_texture_information(int, std::string) override {}
+    OpenMesh::BaseKernel* kernel() override { return &kernel_; }
+    size_t n_vertices() const override { return mesh_.vertices.size(); }
+    size_t n_faces() const override { return faces_; }
+    size_t n_edges() const override { return 0; }
+
+  private:
+    Mesh& mesh_;
+    size_t faces_ = 0;
+    OpenMesh::ArrayKernel kernel_;
+};
+
+/// STL stores loose triangles; equal positions become one vertex again.
+void weld(Mesh& mesh) {
+    std::vector<uint32_t> order(mesh.vertices.size());
+    for (uint32_t i = 0; i < order.size(); ++i) order[i] = i;
+    std::sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return mesh.vertices[a] != mesh.vertices[b] ? mesh.vertices[a] < mesh.vertices[b] : a < b; });
+    std::vector<uint32_t> first(order.size());
+    for (size_t i = 0; i < order.size(); ++i)
+        first[order[i]] = i && mesh.vertices[order[i]] == mesh.vertices[order[i - 1]] ? first[order[i - 1]] : order[i];
+    std::vector<uint32_t> renumbered(order.size());
+    std::vector<std::array<float, 3>> kept;
+    for (uint32_t v = 0; v < first.size(); ++v)
+        if (first[v] == v) {
+            renumbered[v] = static_cast<uint32_t>(kept.size());
+            kept.push_back(mesh.vertices[v]);
+        }
+    for (auto& t : mesh.triangles)
+        for (uint32_t& v : t) v = renumbered[first[v]];
+    mesh.vertices = std::move(kept);
+}
+
+void put(std::string& out, const void* data, size_t bytes) { out.append(static_cast<const char*>(data), bytes); }
+
+void write_ply(std::ostream& out, const Mesh& mesh) {
+    out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size()
+        << "\nproperty float x\nproperty float y\nproperty float z\nelement face " << mesh.triangles.size()
+        << "\nproperty list uchar int vertex_indices\nend_header\n";
+    out.write(reinterpret_cast<const char*>(mesh.vertices.data()), static_cast<std::streamsize>(mesh.vertices.size() * 12));
+    std::string faces;
+    faces.reserve(mesh.triangles.size() * 13);
+    for (const auto& t : mesh.triangles) {
+        faces.push_back(3);
+        put(faces, t.data(), 12);
+    }
+    out.write(faces.data(), static_cast<std::streamsize>(faces.size()));
+}
+
+/// Rotation that turns `up` to y; rows are images of x, y, z.
+std::array<std::array<float, 3>, 3> to_y_up(const std::string& up) {
+    if (up == "z") return {{{1, 0, 0}, {0, 0, 1}, {0, -1, 0}}};
+    if (up == "-z") return {{{1, 0, 0}, {0, 0, -1}, {0, 1, 0}}};
+    if (up == "x") return {{{0, -1, 0}, {1, 0, 0}, {0, 0, 1}}};
+    if (up == "-x") return {{{0, 1, 0}, {-1, 0, 0}, {0, 0, 1}}};
+    if (up == "-y") return {{{1, 0, 0}, {0, -1, 0}, {0, 0, -1}}};
+    if (up.empty() || up == "y") return {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+    throw UsageError("--up " + up + " is none of x, y, z, -x, -y, -z");
+}
+
+void write_obj(std::ostream& out, const Mesh& mesh, const std::string& up) {
+    const auto r = to_y_up(up);
+    std::string text;
+    char line[128];
+    for (const auto& p : mesh.vertices) {
+        float q[3];
+        for (size_t i = 0; i < 3; ++i) q[i] = r[i][0] * p[0] + r[i][1] * p[1] + r[i][2] * p[2];
+        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "v %.9g %.9g %.9g\n", q[0], q[1], q[2])));
+    }
+    for (const auto& t : mesh.triangles)
+        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "f %u %u %u\n", t[0] + 1, t[1] + 1, t[2] + 1)));
+    out.write(text.data(), static_cast<std::streamsize>(text.size()));
+}
+
+void write_stl(std::ostream& out, const Mesh& mesh) {
+    char header[80] = "binary STL";
+    out.write(header, sizeof header);
+    const auto count = static_cast<uint32_t>(mesh.triangles.size());
+    out.write(reinterpret_cast<const char*>(&count), 4);
+    std::string body;
+    body.reserve(mesh.triangles.size() * 50);
+    for (const auto& t : mesh.triangles) {
+        const auto& a = mesh.vertices[t[0]];
+        const auto& b = mesh.vertices[t[1]];
+        const auto& c = mesh.vertices[t[2]];
+        float u[3], v[3];
+        for (size_t i = 0; i < 3; ++i) {
+            u[i] = b[i] - a[i];
+            v[i] = c[i] - a[i];
+        }
+        float n[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+        const float length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        if (length > 0)
+            for (float& x : n) x /= length;
+        put(body, n, 12);
+        put(body, a.data(), 12);
+        put(body, b.data(), 12);
+        put(body, c.data(), 12);
+        body.append(2, '\0');
+    }
+    out.write(body.data(), static_cast<std::streamsize>(body.size()));
+}
+
+}  // namespace
+
+Mesh read_mesh(const fs::path& file) {
+    if (!fs::is_regular_file(file)) throw InputError(file.string() + ": no such file");
+    Mesh mesh;
+    ArrayImporter importer(mesh);
+    OpenMesh::IO::Options options;
+    omerr().disable();
+    if (!OpenMesh::IO::IOManager().read(file.string(), importer, options))
+        throw InputError(file.string() + ": is not a mesh that can be read (.ply, .obj, .stl, .off)");
+    if (mesh.triangles.empty()) throw InputError(file.string() + ": has no faces");
+    for (const auto& t : mesh.triangles)
+        for (uint32_t v : t)
+            if (v >= mesh.vertices.size()) throw InputError(file.string() + ": a face names vertex " + std::to_string(v) + " of " + std::to_string(mesh.vertices.size()));
+    std::string ext = file.extension().string();
+    std::transform(ext.begin(), ext.end(), ext.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    if (ext == ".stl") weld(mesh);
+    return mesh;
+}
+
+void write_mesh(const fs::path& file, const Mesh& mesh, const std::string& up) {
+    const std::string ext = file.extension().string();
+    if (ext != ".ply" && ext != ".obj" && ext != ".stl")
+        throw UsageError(file.string() + ": meshes are written as .ply, .obj or .stl");
+    AtomicFile out(file);
+    if (ext == ".ply") write_ply(out.stream(), mesh);
+    else if (ext == ".obj") write_obj(out.stream(), mesh, up);
+    else write_stl(out.stream(), mesh);
+    out.commit();
+}
+
+}  // namespace vdbcarve

@@ -1,0 +1,382 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/mask.h"
+
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <mutex>
+#include <opencv2/imgproc.hpp>
+
+#include "io_image.h"
+
+namespace vdbcarve {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+Image8 channel_of(ImageView<uint8_t> photo, MaskChannel channel) {
+    Image8 out(photo.width, photo.height);
+    for (size_t i = 0; i < photo.pixels(); ++i) {
+        const uint8_t* p = photo.data + i * static_cast<size_t>(photo.channels);
+        const uint8_t r = p[0], g = photo.channels >= 3 ? p[1] : p[0], b = photo.channels >= 3 ? p[2] : p[0];
+        const uint8_t high = std::max({r, g, b}), low = std::min({r, g, b});
+        switch (channel) {
+            case MaskChannel::Brightness: out.data[i] = high; break;
+            case MaskChannel::Saturation: out.data[i] = high ? static_cast<uint8_t>(255 * (high - low) / high) : 0; break;
+            case MaskChannel::Red: out.data[i] = r; break;
+            case MaskChannel::Green: out.data[i] = g; break;
+            case MaskChannel::Blue: out.data[i] = b; break;
+        }
+    }
+    return out;
+}
+
+cv::Mat wrap(Image8& image) { return {image.height, image.width, CV_8UC1, image.data.data()}; }
+
+/// 8-bit coverage that crosses 1/2 exactly between `level - 1` and `level`, with one slope on both sides.
+Image8 soft_step(const Image8& channel, double level, bool invert) {
+    const double gain = 127.0 / std::max({level, 255.0 - level, 1.0});
+    uint8_t table[256];
+    for (int v = 0; v < 256; ++v) {
+        const double x = std::floor(127.5 + (v - level + 0.5) * gain + 0.5);
+        const auto coverage = static_cast<uint8_t>(std::clamp(x, 0.0, 255.0));
+        table[v] = invert ? static_cast<uint8_t>(255 - coverage) : coverage;
+    }
+    Image8 out(channel.width, channel.height);
+    for (size_t i = 0; i < out.data.size(); ++i) out.data[i] = table[channel.data[i]];
+    return out;
+}
+
+cv::Mat disc(int radius_px) { return cv::getStructuringElement(cv::MORPH_ELLIPSE, {2 * radius_px + 1, 2 * radius_px + 1}); }
+
+void keep_largest(cv::Mat& binary) {
+    cv::Mat labels, stats, centroids;
+    const int n = cv::connectedComponentsWithStats(binary, labels, stats, centroids, 8, CV_32S);
+    int best = 0;
+    for (int i = 1; i < n; ++i)
+        if (best == 0 || stats.at<int>(i, cv::CC_STAT_AREA) > stats.at<int>(best, cv::CC_STAT_AREA)) best = i;
+    if (best) binary.setTo(0, labels != best);
+}
+
+void fill_small_holes(cv::Mat& binary, double share) {
+    const double area = cv::countNonZero(binary);
+    const cv::Mat background = binary == 0;
+    cv::Mat labels, stats, centroids;
+    const int n = cv::connectedComponentsWithStats(background, labels, stats, centroids, 4, CV_32S);
+    std::vector<uint8_t> fill(static_cast<size_t>(n), 0);
+    for (int i = 1; i < n; ++i) {
+        const int x = stats.at<int>(i, cv::CC_STAT_LEFT), y = stats.at<int>(i, cv::CC_STAT_TOP);
+        const int w = stats.at<int>(i, cv::CC_STAT_WIDTH), h = stats.at<int>(i, cv::CC_STAT_HEIGHT);
+        const bool at_border = x == 0 || y == 0 || x + w == binary.cols || y + h == binary.rows;
+        if (!at_border && (share >= 1 || stats.at<int>(i, cv::CC_STAT_AREA) <= share * area)) fill[static_cast<size_t>(i)] = 1;
+    }
+    for (int y = 0; y < binary.rows; ++y)
+        for (int x = 0; x < binary.cols; ++x)
+            if (fill[static_cast<size_t>(labels.at<int>(y, x))]) binary.at<uint8_t>(y, x) = 255;
+}
+
+/// A file that is a mask: grey, or grey spelled as RGB, or the alpha of RGBA.
+Image8 grey_of(const Image8& file, const fs::path& path) {
+    if (file.channels == 1) return file;
+    Image8 out(file.width, file.height);
+    const auto channels = static_cast<size_t>(file.channels);
+    bool alpha_varies = false;
+    if (channels == 4)
+        for (size_t i = 0; i < out.data.size(); ++i) alpha_varies |= file.data[i * 4 + 3] != file.data[3];
+    for (size_t i = 0; i < out.data.size(); ++i) {
+        const uint8_t* p = &file.data[i * channels];
+        if (alpha_varies) {
+            out.data[i] = p[3];
+            continue;
+        }
+        if (std::abs(p[0] - p[1]) > 8 || std::abs(p[1] - p[2]) > 8)
+            throw InputError(path.string() + ": is coloured; a mask is grey (white = object). Is it a photograph, or a map of class colours?");
+        out.data[i] = p[1];
+    }
+    return out;
+}
+
+void refuse_class_numbers(const Image8& mask, const fs::path& path) {
+    const auto high = *std::max_element(mask.data.begin(), mask.data.end());
+    if (high > 0 && high < 16)
+        throw InputError(path.string() + ": its largest value is " + std::to_string(high) +
+                         " of 255: it looks like class numbers. Remedy: write the object's class as 255 and the rest as 0");
+}
+
+bool is_two_level(const Image8& grey) {
+    size_t between = 0, high = 0;
+    for (uint8_t v : grey.data) {
+        between += v > 8 && v < 247;
+        high += v >= 247;
+    }
+    return high > 0 && static_cast<double>(between) < 0.02 * static_cast<double>(grey.data.size());
+}
+
+fs::path existing(const fs::path& p) { return fs::is_regular_file(p) ? p : fs::path(); }
+
+fs::path in_scene(const fs::path& given, const fs::path& scene) {
+    if (given.empty() || given.is_absolute()) return given;
+    return fs::exists(scene / given) ? scene / given : given;
+}
+
+fs::path mask_in_folder(const fs::path& folder, const View& view) {
+    const fs::path name = fs::path(view.image_path.empty() ? view.name : view.image_path.string()).filename();
+    const std::string file = name.string(), stem = name.stem().string();
+    for (const std::string& candidate : {file + ".png", stem + ".png", stem + "_mask.png", stem + ".mask.png", file + ".mask.png", file})
+        if (fs::path p = existing(folder / candidate); !p.empty()) return p;
+    return {};
+}
+
+/// The object mask's file, by the search order that the README documents.
+fs::path object_mask_file(const View& view, const fs::path& scene, const MaskOptions& options) {
+    if (!options.masks.empty()) return mask_in_folder(in_scene(options.masks, scene), view);
+    const fs::path image(view.image_path.empty() ? view.name : view.image_path.string());
+    if (!options.pattern.empty()) {
+        std::string p = options.pattern;
+        const auto replace = [&](const std::string& key, const std::string& value) {
+            for (size_t at; (at = p.find(key)) != std::string::npos;) p.replace(at, key.size(), value);
+        };
+        replace("{stem}", image.stem().string());
+        replace("{name}", image.filename().string());
+        return existing(scene / p);
+    }
+    if (!view.mask_path.empty()) return existing(view.mask_path);
+    if (fs::is_directory(scene / "masks"))
+        if (fs::path p = mask_in_folder(scene / "masks", view); !p.empty()) return p;
+    for (const std::string& candidate :
+         {image.stem().string() + "_mask.png", image.stem().string() + ".mask.png", image.filename().string() + ".mask.png"})
+        if (fs::path p = existing(image.parent_path() / candidate); !p.empty()) return p;
+    return {};
+}
+
+fs::path ignore_mask_file(const View& view, const fs::path& scene, const MaskOptions& options) {
+    const fs::path folder = options.ignore_masks.empty() ? scene / "ignore" : in_scene(options.ignore_masks, scene);
+    return fs::is_directory(folder) ? mask_in_folder(folder, view) : fs::path();
+}
+
+struct Made {
+    Mask mask;
+    std::string origin;
+    std::string problem;  ///< why there is none
+};
+
+Made make_one(const View& view, const fs::path& scene, const MaskOptions& options) {
+    Made out;
+    const Intrinsics& k = view.camera.intrinsics;
+    const auto check_size = [&](const Image8& image, const fs::path& path, const char* what) {
+        if (image.width == k.width_px && image.height == k.height_px) return;
+        throw InputError(path.string() + ": " + what + " of view " + view.name + " is " + std::to_string(image.width) + " x " +
+                         std::to_string(image.height) + ", its camera " + std::to_string(k.width_px) + " x " + std::to_string(k.height_px) +
+                         ". Remedy: give masks and images the size that the cameras were calibrated for");
+    };
+    Mask& mask = out.mask;
+    const MaskMethod method = options.method;
+    const bool want_folder = method == MaskMethod::Folder || method == MaskMethod::Auto;
+    const fs::path file = want_folder ? object_mask_file(view, scene, options) : fs::path();
+    if (!file.empty()) {
+        mask.coverage = grey_of(io::read_image8(file), file);
+        check_size(mask.coverage, file, "the mask");
+        refuse_class_numbers(mask.coverage, file);
+        out.origin = file.string();
+    } else if (method == MaskMethod::Folder) {
+        // A silhouette set has its masks as its images.
+        const Image8 image = io::read_image8(view.image_path);
+        if (image.channels == 1 && is_two_level(image)) {
+            check_size(image, view.image_path, "the image");
+            mask.coverage = image;
+            out.origin = view.image_path.string() + " (the image itself)";
+        } else {
+            out.problem = "no mask file found";
+            return out;
+        }
+    } else {
+        const Image8 image = io::read_image8(view.image_path);
+        check_size(image, view.image_path, "the image");
+        if (method == MaskMethod::Threshold) {
+            mask = threshold_mask(image, options.threshold);
+            out.origin = "threshold of " + view.image_path.string();
+        } else {
+            bool varies = false;
+            if (image.channels == 4) {
+                mask.coverage = Image8(image.width, image.height);
+                for (size_t i = 0; i < mask.coverage.data.size(); ++i) {
+                    mask.coverage.data[i] = image.data[4 * i + 3];
+                    varies |= mask.coverage.data[i] != mask.coverage.data[0];
+                }
+            }
+            if (varies) {
+                out.origin = "alpha of " + view.image_path.string();
+            } else if (method == MaskMethod::Auto && image.channels != 4) {
+                Image8 grey;
+                try {
+                    grey = grey_of(image, view.image_path);
+                } catch (const InputError&) {
+                }
+                if (!grey.empty() && is_two_level(grey)) {
+                    mask.coverage = grey;
+                    out.origin = view.image_path.string() + " (the image itself is a silhouette)";
+                }
+            }
+            if (out.origin.empty()) {
+                out.problem = method == MaskMethod::Alpha ? "its image has no alpha that says anything" : "no mask file, and its image has no alpha";
+                return out;
+            }
+        }
+    }
+    if (options.invert)
+        for (uint8_t& v : mask.coverage.data) v = static_cast<uint8_t>(255 - v);
+    if (const fs::path ignore = ignore_mask_file(view, scene, options); !ignore.empty()) {
+        mask.ignore = grey_of(io::read_image8(ignore), ignore);
+        check_size(mask.ignore, ignore, "the ignore mask");
+        for (uint8_t& v : mask.ignore.data) v = v >= 128 ? 255 : 0;
+    }
+    if (view.lens.distorts()) {
+        Image8 outside;
+        mask.coverage = io::undistort(mask.coverage, k, view.lens, &outside);
+        if (!mask.ignore.empty()) {
+            Image8 ignore = io::undistort(mask.ignore, k, view.lens, nullptr);
+            for (uint8_t& v : ignore.data) v = v >= 128 ? 255 : 0;
+            mask.ignore = std::move(ignore);
+        }
+        // Pixels that the lens never imaged are unknown, not background.
+        if (std::any_of(outside.data.begin(), outside.data.end(), [](uint8_t v) { return v != 0; })) {
+            if (mask.ignore.empty()) mask.ignore = Image8(k.width_px, k.height_px);
+            for (size_t i = 0; i < outside.data.size(); ++i) mask.ignore.data[i] |= outside.data[i];
+        }
+    }
+    return out;
+}
+
+struct Census {
+    double object_share, border_share;
+};
+
+Census census(const Mask& mask) {
+    const Image8& m = mask.coverage;
+    size_t object = 0, border = 0, border_object = 0;
+    for (int y = 0; y < m.height; ++y)
+        for (int x = 0; x < m.width; ++x) {
+            const bool on = m.at(x, y) >= 128;
+            object += on;
+            if (x == 0 || y == 0 || x == m.width - 1 || y == m.height - 1) {
+                ++border;
+                border_object += on;
+            }
+        }
+    return {static_cast<double>(object) / static_cast<double>(m.pixels()), static_cast<double>(border_object) / static_cast<double>(border)};
+}
+
+std::string some_of(const std::vector<std::string>& names) {
+    std::string out;
+    for (size_t i = 0; i < names.size() && i < 5; ++i) out += (i ? ", " : "") + names[i];
+    if (names.size() > 5) out += " and " + std::to_string(names.size() - 5) + " more";
+    return out;
+}
+
+}  // namespace
+
+Mask threshold_mask(ImageView<uint8_t> photo, const ThresholdOptions& options) {
+    Image8 channel = channel_of(photo, options.channel);
+    double level = options.level;
+    if (level < 0) {
+        cv::Mat unused;
+        level = cv::threshold(wrap(channel), unused, 0, 255, cv::THRESH_BINARY | cv::THRESH_OTSU) + 1;
+    }
+    Mask out;
+    out.coverage = soft_step(channel, level, options.invert);
+    cv::Mat binary = wrap(out.coverage) >= 128;
+    if (options.open_px > 0) cv::morphologyEx(binary, binary, cv::MORPH_OPEN, disc(options.open_px));
+    if (options.close_px > 0) cv::morphologyEx(binary, binary, cv::MORPH_CLOSE, disc(options.close_px));
+    if (options.largest_component) keep_largest(binary);
+    if (options.fill_holes > 0) fill_small_holes(binary, options.fill_holes);
+    // Where the clean-up changed its mind the edge is hard; elsewhere it stays as soft as the photograph.
+    for (int y = 0; y < binary.rows; ++y)
+        for (int x = 0; x < binary.cols; ++x) {
+            uint8_t& c = out.coverage.at(x, y);
+            const bool on = binary.at<uint8_t>(y, x) != 0;
+            if (on != (c >= 128)) c = on ? 255 : 0;
+        }
+    return out;
+}
+
+std::vector<fs::path> mask_files(const View& view, const fs::path& scene, const MaskOptions& options) {
+    std::vector<fs::path> out;
+    const bool want_folder = options.method == MaskMethod::Folder || options.method == MaskMethod::Auto;
+    const fs::path object = want_folder ? object_mask_file(view, scene, options) : fs::path();
+    out.push_back(object.empty() ? view.image_path : object);
+    if (const fs::path ignore = ignore_mask_file(view, scene, options); !ignore.empty()) out.push_back(ignore);
+    return out;
+}
+
+Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& options, const std::vector<fs::path>& edited, Progress& progress) {
+    if (!options.masks.empty() && !fs::is_directory(in_scene(options.masks, scene)))
+        throw InputError(options.masks.string() + ": --masks is not a folder");
+    if (!options.ignore_masks.empty() && !fs::is_directory(in_scene(options.ignore_masks, scene)))
+        throw InputError(options.ignore_masks.string() + ": --ignore-masks is not a folder");
+    const size_t n = views.views.size();
+    std::vector<Made> made(n);
+    progress.begin("mask", n);
+    tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+        const View& view = views.views[i];
+        if (i < edited.size() && !edited[i].empty()) {
+            // Ours were written undistorted; an edited one is used as it is.
+            made[i].mask.coverage = grey_of(io::read_image8(edited[i]), edited[i]);
+            const Image8& m = made[i].mask.coverage;
+            if (m.width != view.camera.intrinsics.width_px || m.height != view.camera.intrinsics.height_px)
+                throw InputError(edited[i].string() + ": the edited mask changed its size");
+            made[i].origin = edited[i].string() + " (edited by hand)";
+        } else {
+            made[i] = make_one(view, scene, options);
+        }
+        progress.step();
+    });
+
+    Masks out;
+    std::vector<std::string> missing, empty, full, inverted, bordered;
+    std::string reason;
+    for (size_t i = 0; i < n; ++i) {
+        const std::string& name = views.views[i].name;
+        if (!made[i].problem.empty()) {
+            missing.push_back(name);
+            reason = made[i].problem;
+            out.left_out.push_back(i);
+        } else {
+            const Census c = census(made[i].mask);
+            if (c.object_share == 0) {
+                empty.push_back(name + " (" + made[i].origin + ")");
+                out.left_out.push_back(i);
+                made[i].mask = {};
+            } else if (c.object_share > 0.999) {
+                full.push_back(name + " (" + made[i].origin + ")");
+            } else if (c.border_share > 0.5) {
+                inverted.push_back(name);
+            } else if (c.border_share > 0) {
+                bordered.push_back(name);
+            }
+        }
+        out.masks.push_back(std::move(made[i].mask));
+        out.origins.push_back(made[i].origin);
+    }
+    if (!missing.empty() && !options.allow_missing)
+        throw InputError(std::to_string(missing.size()) + " of " + std::to_string(n) + " views have no mask (" + reason + "): " + some_of(missing) +
+                         ". Remedy: --mask threshold, --masks DIR, or --allow-missing to leave such views out");
+    if (!empty.empty() && !options.allow_missing)
+        throw InputError("empty mask (no object pixel) in " + std::to_string(empty.size()) + " of " + std::to_string(n) + " views: " + some_of(empty) +
+                         ". It would carve everything away. Remedy: mend the mask, or --allow-missing to leave such views out");
+    if (!missing.empty()) progress.warn("views without a mask are left out: " + some_of(missing));
+    if (!empty.empty()) progress.warn("views with an empty mask are left out: " + some_of(empty));
+    if (out.left_out.size() == n) throw InputError("no view has a mask");
+    if (!full.empty()) progress.warn("mask is object everywhere, it carves nothing: " + some_of(full));
+    if (2 * inverted.size() >= n)
+        throw InputError("the border of " + std::to_string(inverted.size()) + " of " + std::to_string(n) +
+                         " masks is mostly object: " + some_of(inverted) + ". They look inverted (white = object is expected). Remedy: --mask-invert");
+    if (!inverted.empty()) progress.warn("the mask's border is mostly object (inverted?): " + some_of(inverted));
+    if (!bordered.empty())
+        progress.warn("the object leaves the frame in " + std::to_string(bordered.size()) + " views: " + some_of(bordered) +
+                      "; what lies outside an image is taken as unknown");
+    return out;
+}
+
+}  // namespace vdbcarve

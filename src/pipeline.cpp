@@ -1,0 +1,599 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/pipeline.h"
+
+#include <sys/resource.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "atomic_file.h"
+#include "io_image.h"
+#include "sha256.h"
+#include "vdbcarve/carve.h"
+#include "vdbcarve/export.h"
+#include "vdbcarve/level_set.h"
+#include "vdbcarve/mesh.h"
+#include "vdbcarve/render.h"
+#include "vdbcarve/version.h"
+
+namespace vdbcarve {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+namespace {
+
+constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
+
+size_t peak_rss_bytes() {
+    rusage usage{};
+    getrusage(RUSAGE_SELF, &usage);
+    return static_cast<size_t>(usage.ru_maxrss) * 1024;
+}
+
+json parse_or_empty(const fs::path& file) {
+    try {
+        std::ifstream in(file);
+        return in ? json::parse(in) : json::object();
+    } catch (const json::exception&) {
+        return json::object();  // a note of ours that was damaged is as good as none
+    }
+}
+
+bool made_by_us(const fs::path& output) { return fs::exists(output / kMarker); }
+
+/// Files of finished stages, named by what they were made from.
+class StageStore {
+  public:
+    explicit StageStore(fs::path folder) : folder_(std::move(folder)) {}
+    fs::path path(const std::string& stage, const std::string& key, const std::string& extension) const {
+        return folder_ / (stage + "-" + key.substr(0, 24) + extension);
+    }
+
+  private:
+    fs::path folder_;
+};
+
+void add_camera(Sha256& hash, const Camera& c) {
+    const Intrinsics& k = c.intrinsics;
+    for (double v : {k.fx, k.fy, k.skew, k.cx, k.cy}) hash.add_value(v);
+    hash.add_value(k.width_px).add_value(k.height_px).add_value(k.orthographic);
+    for (int i = 0; i < 9; ++i) hash.add_value(c.camera_from_world.rotation(i / 3, i % 3));
+    for (int i = 0; i < 3; ++i) hash.add_value(c.camera_from_world.translation[i]);
+}
+
+/// File name of a view's mask in OUT/masks, unique among the views.
+std::vector<std::string> mask_names(const Views& views) {
+    std::set<std::string> stems;
+    bool unique = true;
+    for (const View& v : views.views) unique &= stems.insert(fs::path(v.name).stem().string()).second;
+    std::vector<std::string> out;
+    for (const View& v : views.views) {
+        std::string name = unique ? fs::path(v.name).stem().string() : v.name;
+        std::replace(name.begin(), name.end(), '/', '_');
+        out.push_back(name + ".png");
+    }
+    return out;
+}
+
+std::string grid_text(const std::array<int, 3>& d) {
+    return std::to_string(d[0]) + "x" + std::to_string(d[1]) + "x" + std::to_string(d[2]);
+}
+
+class Job {
+  public:
+    Job(const ReconstructOptions& options, Progress& progress) : o_(options), progress_(progress), store_(options.output / "stages") {}
+
+    Reconstruction run() {
+        check_options();
+        stage("views", [&] { load(); return false; });
+        if (!o_.dry_run) open_output();
+        stage("mask", [&] { return masks(); });
+        if (o_.last_stage == LastStage::Mask) return finish();
+        plan_key();
+        const bool have_hull = fs::exists(hull_json());
+        if (!have_hull || o_.dry_run) stage("distance", [&] { distances(); return false; });
+        if (o_.dry_run) {
+            plan_grid();
+            return finish();
+        }
+        stage("carve", [&] { return carve_hull(); });
+        if (o_.last_stage == LastStage::Carve) {
+            if (!o_.occupancy) place_copy(hull_file(), o_.output / "hull.vdb");
+            else place_copy(hull_file(), o_.output / "volume.vdb");
+            return finish();
+        }
+        stage("level_set", [&] { return make_surface(); });
+        stage("mesh", [&] { return make_mesh(); });
+        stage("export", [&] { export_all(); return false; });
+        return finish();
+    }
+
+  private:
+    template <class Work>
+    void stage(const char* name, const Work& work) {
+        progress_.check();
+        const auto start = std::chrono::steady_clock::now();
+        const bool reused = work();
+        json entry{{"name", name},
+                   {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()},
+                   {"peak_rss_bytes", peak_rss_bytes()},
+                   {"reused", reused}};
+        report_["stages"].push_back(entry);
+        if (o_.on_stage) {
+            entry["event"] = "stage";
+            o_.on_stage(entry.dump());
+        }
+    }
+
+    void check_options() {
+        if (o_.backend == Backend::Cuda)
+            throw BackendError("--backend cuda: this vdbcarve carves on the CPU only (built without CUDA). Remedy: --backend auto");
+        std::string bad;
+        const auto need = [&](bool ok, const std::string& what) {
+            if (!ok) bad += (bad.empty() ? "" : "; ") + what;
+        };
+        need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
+        need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
+        need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
+        need(o_.max_misses >= 0 && o_.max_misses <= 15, "--max-misses is " + std::to_string(o_.max_misses) + ", must be 0..15");
+        need(o_.min_seen >= 0 && o_.min_seen <= 1, "--min-seen is " + std::to_string(o_.min_seen) + ", must be 0..1");
+        need(o_.adaptivity >= 0 && o_.adaptivity <= 1, "--adaptivity is " + std::to_string(o_.adaptivity) + ", must be 0..1");
+        if (o_.grid)
+            for (int d : *o_.grid) need(d > 0, "--grid has a side of " + std::to_string(d) + " voxels");
+        if (o_.bounds) {
+            const Vec3d size = o_.bounds->max() - o_.bounds->min();
+            need(size.allFinite() && size.minCoeff() > 0, "--bounds has no volume: every maximum must exceed its minimum");
+        }
+        for (const std::string& f : o_.mesh_formats)
+            need(f == "ply" || f == "obj" || f == "stl", "--mesh-formats: '" + f + "' is not written yet (ply, obj, stl)");
+        if (!bad.empty()) throw UsageError(bad);
+    }
+
+    void open_output() {
+        if (fs::exists(o_.output) && !fs::is_directory(o_.output)) throw OutputError(o_.output.string() + ": is a file, a folder is needed");
+        if (fs::is_directory(o_.output) && !fs::is_empty(o_.output) && !made_by_us(o_.output) && !o_.force)
+            throw OutputError(o_.output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
+        make_folder(o_.output / "stages");
+        write_file(o_.output / kMarker, json{{"made_by", "vdbcarve"}}.dump() + "\n");
+        if (!o_.config_text.empty()) write_file(o_.output / "config.toml", o_.config_text);
+    }
+
+    void load() {
+        views_ = load_views(o_.views, progress_);
+        progress_.note(std::to_string(views_.views.size()) + " views from " + views_.camera_file.string() + " (" + views_.format + ")");
+    }
+
+    // --------------------------------------------------------------------------------------- masks
+
+    bool masks() {
+        const size_t n = views_.views.size();
+        mask_names_ = mask_names(views_);
+        const fs::path folder = o_.output / "masks";
+        const json written = parse_or_empty(folder / ".written_by_vdbcarve.json");
+        std::vector<fs::path> edited(n);
+        for (size_t i = 0; i < n; ++i) {
+            const fs::path file = folder / mask_names_[i];
+            if (written.contains(mask_names_[i]) && fs::exists(file) && sha256_of_file(file) != written[mask_names_[i]]) {
+                edited[i] = file;
+                progress_.note("mask edited by hand is used: " + file.string());
+            }
+        }
+
+        // Every input file is hashed once; the masks depend on what they are made from and how.
+        std::vector<std::string> file_hashes(n);
+        tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+            Sha256 h;
+            std::vector<fs::path> files = mask_files(views_.views[i], o_.views.scene, o_.mask);
+            if (!edited[i].empty()) files = {edited[i]};
+            for (const fs::path& f : files) h.add(sha256_of_file(f));
+            file_hashes[i] = h.hex();
+        });
+        for (size_t i = 0; i < n; ++i) report_["inputs"][views_.views[i].name]["sha256"] = file_hashes[i];
+        const MaskOptions& m = o_.mask;
+        Sha256 h;
+        h.add("mask").add_value(kCodeVersion).add_value(m.method).add_value(m.invert).add_value(m.allow_missing);
+        h.add_value(m.threshold.level).add_value(m.threshold.channel).add_value(m.threshold.invert).add_value(m.threshold.open_px);
+        h.add_value(m.threshold.close_px).add_value(m.threshold.largest_component).add_value(m.threshold.fill_holes);
+        for (size_t i = 0; i < n; ++i) {
+            const View& v = views_.views[i];
+            h.add(v.name).add(file_hashes[i]).add_value(v.lens.model).add_value(!edited[i].empty());
+            for (double c : v.lens.coefficients) h.add_value(c);
+            if (v.lens.distorts()) add_camera(h, v.camera);
+            h.add_value(v.camera.intrinsics.width_px).add_value(v.camera.intrinsics.height_px);
+        }
+        mask_key_ = h.hex();
+
+        const fs::path stored = store_.path("masks", mask_key_, "");
+        const bool reused = !o_.dry_run && fs::exists(stored / "masks.json");
+        if (reused) {
+            const json note = parse_or_empty(stored / "masks.json");
+            masks_.masks.resize(n);
+            masks_.origins = note["origins"].get<std::vector<std::string>>();
+            masks_.left_out = note["left_out"].get<std::vector<size_t>>();
+            tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+                const std::string stem = std::to_string(i);
+                if (fs::exists(stored / (stem + ".png"))) masks_.masks[i].coverage = io::read_image8(stored / (stem + ".png"));
+                if (fs::exists(stored / (stem + "_ignore.png"))) masks_.masks[i].ignore = io::read_image8(stored / (stem + "_ignore.png"));
+            });
+            for (const std::string& w : note["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+        } else {
+            const size_t warnings_before = progress_.warnings().size();
+            masks_ = make_masks(views_, o_.views.scene, o_.mask, edited, progress_);
+            const std::vector<std::string> all = progress_.warnings();
+            if (!o_.dry_run) {
+                const fs::path part = o_.output / "stages" / ".masks.part";
+                fs::remove_all(part);
+                make_folder(part);
+                std::vector<std::vector<uint8_t>> encoded(n);
+                tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+                    const Mask& mask = masks_.masks[i];
+                    if (mask.coverage.empty()) return;
+                    encoded[i] = io::encode_png(mask.coverage);
+                    write_file(part / (std::to_string(i) + ".png"), encoded[i].data(), encoded[i].size());
+                    if (mask.ignore.empty()) return;
+                    const auto ignore = io::encode_png(mask.ignore);
+                    write_file(part / (std::to_string(i) + "_ignore.png"), ignore.data(), ignore.size());
+                });
+                const json note{{"origins", masks_.origins},
+                                {"left_out", masks_.left_out},
+                                {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}};
+                write_file(part / "masks.json", note.dump(1) + "\n");
+                fs::remove_all(stored);
+                fs::rename(part, stored);
+            }
+        }
+        if (!o_.dry_run) place_masks(stored, folder, written, edited);
+        for (size_t i = 0; i < n; ++i)
+            if (std::find(masks_.left_out.begin(), masks_.left_out.end(), i) == masks_.left_out.end()) used_.push_back(i);
+        return reused;
+    }
+
+    /// Copies of the masks for the user to look at and to edit. An edited one is left alone.
+    void place_masks(const fs::path& stored, const fs::path& folder, json written, const std::vector<fs::path>& edited) {
+        make_folder(folder);
+        for (size_t i = 0; i < mask_names_.size(); ++i) {
+            const fs::path from = stored / (std::to_string(i) + ".png");
+            if (!edited[i].empty() || !fs::exists(from)) continue;
+            const std::string hash = sha256_of_file(from);
+            if (!fs::exists(folder / mask_names_[i]) || written.value(mask_names_[i], "") != hash) place_copy(from, folder / mask_names_[i]);
+            written[mask_names_[i]] = hash;
+        }
+        write_file(folder / ".written_by_vdbcarve.json", written.dump(1) + "\n");
+    }
+
+    // --------------------------------------------------------------------------------------- carve
+
+    void plan_key() {
+        Sha256 h;
+        h.add("carve").add_value(kCodeVersion).add(mask_key_).add_value(o_.distance.silhouette_offset_px);
+        for (const Camera& c : views_.cameras()) add_camera(h, c);
+        h.add_value(o_.resolution).add_value(o_.voxel_size).add_value(o_.max_misses).add_value(o_.min_seen);
+        h.add_value(o_.outside_is_background).add_value(o_.occupancy).add_value(o_.half_width_vox);
+        if (o_.grid)
+            for (int d : *o_.grid) h.add_value(d);
+        h.add_value(o_.bounds.has_value()).add_value(o_.origin.has_value());
+        if (o_.bounds)
+            for (int a = 0; a < 3; ++a) h.add_value(o_.bounds->min()[a]).add_value(o_.bounds->max()[a]);
+        if (o_.origin)
+            for (int a = 0; a < 3; ++a) h.add_value((*o_.origin)[a]);
+        hull_key_ = h.hex();
+    }
+    fs::path hull_file() const { return store_.path("hull", hull_key_, ".vdb"); }
+    fs::path hull_json() const { return store_.path("hull", hull_key_, ".json"); }
+
+    void distances() {
+        std::vector<MaskView> views;
+        for (size_t i : used_) views.push_back(view_of(masks_.masks[i]));
+        fields_ = distance_fields(views, o_.distance, progress_);
+        const std::vector<Camera> cameras = views_.cameras();
+        for (size_t u = 0; u < used_.size(); ++u)
+            inputs_.push_back({views_.views[used_[u]].name, cameras[used_[u]], fields_[u].silhouette.view(), fields_[u].ignored.view()});
+    }
+
+    /// Size of one pixel on the object, world units: the median over views at the bounds' centre.
+    double pixel_footprint(const Vec3d& centre) const {
+        std::vector<double> sizes;
+        for (const CarveInput& input : inputs_) {
+            const Intrinsics& k = input.camera.intrinsics;
+            const double depth = k.orthographic ? 1.0 : (input.camera.camera_from_world * centre).z();
+            if (depth > 0) sizes.push_back(depth / std::sqrt(k.fx * k.fy));
+        }
+        if (sizes.empty()) return 0;
+        std::nth_element(sizes.begin(), sizes.begin() + static_cast<long>(sizes.size() / 2), sizes.end());
+        return sizes[sizes.size() / 2];
+    }
+
+    /// Fills carve_ and the report's grid from bounds, resolution and the like.
+    void plan_grid() {
+        carve_.max_misses = o_.max_misses;
+        carve_.min_seen = o_.min_seen;
+        carve_.outside = o_.outside_is_background ? Outside::Background : Outside::Unknown;
+        carve_.occupancy = o_.occupancy;
+        carve_.half_width_vox = o_.half_width_vox;
+        const auto start = std::chrono::steady_clock::now();
+        Box3d box = o_.bounds ? *o_.bounds : automatic_bounds(inputs_, carve_, progress_);
+        const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+        const Vec3d size = box.sizes();
+        const double footprint = pixel_footprint(box.center());
+        double voxel = 0;
+        Vec3d origin = o_.origin.value_or(Vec3d::Zero());
+        if (o_.voxel_size > 0) {
+            voxel = o_.voxel_size;
+        } else if (o_.grid) {
+            const Vec3d sides(size[0] / (*o_.grid)[0], size[1] / (*o_.grid)[1], size[2] / (*o_.grid)[2]);
+            if (o_.bounds) {
+                if (sides.maxCoeff() - sides.minCoeff() > 1e-6 * sides.maxCoeff())
+                    throw UsageError("--bounds and --grid give voxels of " + std::to_string(sides[0]) + " x " + std::to_string(sides[1]) + " x " +
+                                     std::to_string(sides[2]) + ", which are not cubes. Remedy: change either, or give --resolution");
+                voxel = sides[0];
+                if (!o_.origin) origin = box.min();
+            } else {
+                // The smallest cubic voxel with which that many hold the object.
+                voxel = sides.maxCoeff();
+                const Vec3d whole = voxel * Vec3d((*o_.grid)[0], (*o_.grid)[1], (*o_.grid)[2]);
+                const Vec3d centre = box.center();
+                box = Box3d(centre - 0.5 * whole, centre + 0.5 * whole);
+                if (!o_.origin) origin = box.min();
+            }
+        } else if (o_.resolution > 0) {
+            voxel = size.maxCoeff() / o_.resolution;
+        } else {
+            if (footprint <= 0) throw ContradictionError("no camera has the bounds in front of it. Remedy: check --bounds and the cameras");
+            const double fine = size.maxCoeff() / footprint;
+            const int n = static_cast<int>(std::clamp(std::round(fine), 64.0, 1024.0));
+            voxel = size.maxCoeff() / n;
+            progress_.note("resolution " + std::to_string(n) + ": a voxel for a pixel" + (fine > 1024 ? " would be " + std::to_string(std::lround(fine)) + "; --resolution sets another" : ""));
+        }
+        if (footprint > 0 && voxel < 0.98 * footprint)
+            progress_.warn("voxels of " + std::to_string(voxel) + " are finer than a pixel on the object (" + std::to_string(footprint) +
+                           "): more than the photographs can show. About " + std::to_string(std::lround(size.maxCoeff() / footprint)) + " voxels along the longest side would do");
+        carve_.lattice = {origin, voxel};
+        carve_.bounds_world = box;
+        const std::array<int, 3> dims{static_cast<int>(std::ceil(box.sizes()[0] / voxel - 1e-6)), static_cast<int>(std::ceil(box.sizes()[1] / voxel - 1e-6)),
+                                      static_cast<int>(std::ceil(box.sizes()[2] / voxel - 1e-6))};
+        json& g = report_["grid"];
+        g["dims"] = dims;
+        g["voxel_size"] = voxel;
+        g["bounds"] = {box.min()[0], box.min()[1], box.min()[2], box.max()[0], box.max()[1], box.max()[2]};
+        g["bounds_automatic"] = !o_.bounds;
+        g["bounds_seconds"] = bounds_seconds;
+        g["pixel_footprint"] = footprint;
+        if (o_.dry_run) {
+            // Surface of an object that fills two thirds of its box; leaves hold (6 + 12) / 512 of it (fields apart).
+            const double longest = std::max({dims[0], dims[1], dims[2]}), area = 2.2 * longest * longest;
+            const double leaf_bytes = 2200;
+            g["expected_bytes"] = area * 18 / 512 * leaf_bytes;
+            double fields = 0;
+            for (const CarveInput& i : inputs_) fields += 4.0 * static_cast<double>(i.silhouette_px.pixels());
+            g["expected_field_bytes"] = fields;
+        }
+        progress_.note("grid " + grid_text(dims) + ", voxel " + std::to_string(voxel) + (views_.units.empty() ? "" : " " + views_.units));
+    }
+
+    bool carve_hull() {
+        if (fs::exists(hull_json()) && fs::exists(hull_file())) {
+            const json note = parse_or_empty(hull_json());
+            report_["grid"] = note["grid"];
+            for (const std::string& w : note["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+            return true;
+        }
+        const size_t warnings_before = progress_.warnings().size();
+        if (inputs_.empty()) distances();  // the note was there but the volume was not
+        plan_grid();
+        CarveResult result = carve(inputs_, carve_, progress_);
+        const CarveStatistics& s = result.statistics;
+        json& g = report_["grid"];
+        g["active_voxels"] = s.active_voxels;
+        g["leaves"] = s.leaves;
+        g["bytes"] = s.bytes;
+        g["node_tests"] = s.node_tests;
+        g["voxel_lookups"] = s.voxel_lookups;
+        g["clipped_share"] = s.clipped_share;
+        if (s.clipped_share > 0)
+            progress_.warn("the bounds cut the object: " + std::to_string(100 * s.clipped_share).substr(0, 4) + " % of the surface is their flat cap");
+        hull_ = result.hull;
+        occupancy_ = result.occupancy;
+        fields_.clear();
+        inputs_.clear();
+        write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
+        const std::vector<std::string> all = progress_.warnings();
+        json note{{"grid", g}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}};
+        write_file(hull_json(), note.dump(1) + "\n");
+        return false;
+    }
+
+
+    VdbMetadata metadata() const {
+        return {views_.units, views_.up, used_.size(), report_["grid"]["voxel_size"].get<double>(), mask_key_};
+    }
+
+    // --------------------------------------------------------------------------------------- surface
+
+    bool make_surface() {
+        Sha256 h;
+        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).hex();
+        const fs::path file = store_.path("surface", surface_key_, ".vdb");
+        if (fs::exists(file)) {
+            surface_ = read_float_grid(file, "surface");
+            return true;
+        }
+        LevelSetOptions options;
+        options.half_width_vox = o_.half_width_vox;
+        if (o_.occupancy) {
+            if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
+            surface_ = level_set_of_occupancy(*occupancy_, options, progress_);
+        } else {
+            if (!hull_) hull_ = read_float_grid(hull_file(), "hull");
+            surface_ = level_set(*hull_, options, progress_);
+        }
+        hull_.reset();
+        write_vdb(file, {surface_}, metadata());
+        return false;
+    }
+
+    bool make_mesh() {
+        Sha256 h;
+        mesh_key_ = h.add("mesh").add_value(kCodeVersion).add(surface_key_).add_value(o_.adaptivity).hex();
+        const fs::path file = store_.path("mesh", mesh_key_, ".ply");
+        const bool reused = fs::exists(file);
+        if (reused) {
+            mesh_ = read_mesh(file);
+        } else {
+            mesh_ = extract_mesh(*surface_, {o_.adaptivity}, progress_);
+            write_mesh(file, mesh_);
+        }
+        measures_ = measure(mesh_);
+        report_["mesh"] = {{"vertices", measures_.vertices},
+                           {"faces", measures_.faces},
+                           {"components", measures_.components},
+                           {"closed", measures_.closed},
+                           {"manifold", measures_.manifold},
+                           {"boundary_edges", measures_.boundary_edges},
+                           {"non_manifold_edges", measures_.non_manifold_edges},
+                           {"non_manifold_vertices", measures_.non_manifold_vertices},
+                           {"zero_area_faces", measures_.zero_area_faces},
+                           {"genus", measures_.genus},
+                           {"volume", measures_.volume},
+                           {"area", measures_.area}};
+        if (!measures_.manifold) progress_.warn("the mesh is not a closed manifold");
+        return reused;
+    }
+
+    // --------------------------------------------------------------------------------------- export
+
+    void export_all() {
+        openvdb::GridCPtrVec grids{surface_, density_of(*surface_)};
+        if (o_.occupancy) {
+            if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
+            grids.push_back(occupancy_);
+        }
+        write_vdb(o_.output / "volume.vdb", grids, metadata());
+        const std::string up = o_.views.up.empty() ? views_.up : o_.views.up;
+        for (const std::string& format : o_.mesh_formats) {
+            const fs::path target = o_.output / ("mesh." + format);
+            if (format == "ply") place_copy(store_.path("mesh", mesh_key_, ".ply"), target);
+            else write_mesh(target, mesh_, up);
+        }
+        if (views_.units.empty()) progress_.note("the unit of length is unknown: files carry the scene's own units");
+        write_file(o_.output / "cameras.json", cameras_json(views_));
+        agreement();
+        preview();
+    }
+
+    void agreement() {
+        const size_t n = views_.views.size();
+        const std::vector<Camera> cameras = views_.cameras();
+        std::vector<SilhouetteAgreement> a(n);
+        progress_.begin("export", n);
+        tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+            if (!masks_.masks[i].coverage.empty()) a[i] = compare_silhouettes(silhouette_of(mesh_, cameras[i]), view_of(masks_.masks[i]));
+            progress_.step();
+        });
+        std::vector<double> ious;
+        const std::set<size_t> out(masks_.left_out.begin(), masks_.left_out.end());
+        std::string weak;
+        size_t weak_count = 0;
+        for (size_t i = 0; i < n; ++i) {
+            const bool used = !out.count(i);
+            report_["views"].push_back({{"name", views_.views[i].name},
+                                        {"used", used},
+                                        {"silhouette_iou", a[i].iou},
+                                        {"contour_p95_px", a[i].contour_p95_px},
+                                        {"contour_p99_px", a[i].contour_p99_px},
+                                        {"missed_px", a[i].missed_px},
+                                        {"extra_px", a[i].extra_px},
+                                        {"mask", masks_.origins[i]}});
+            if (!used) continue;
+            ious.push_back(a[i].iou);
+            if (a[i].iou < 0.9 && weak_count++ < 5) weak += (weak.empty() ? "" : ", ") + views_.views[i].name + " (" + std::to_string(a[i].iou).substr(0, 5) + ")";
+        }
+        if (weak_count)
+            progress_.warn(std::to_string(weak_count) + " views agree with the result by less than 0.9 (silhouette IoU): " + weak +
+                           (weak_count > 5 ? " …" : "") + ": look at their masks and cameras");
+        std::sort(ious.begin(), ious.end());
+        minimum_iou_ = ious.front();
+        median_iou_ = ious[ious.size() / 2];
+        report_["silhouette_iou"] = {{"median", median_iou_}, {"minimum", minimum_iou_}};
+    }
+
+    void preview() {
+        const size_t n = used_.size(), shown = std::min<size_t>(n, 12);
+        const std::vector<Camera> cameras = views_.cameras();
+        std::vector<PreviewView> tiles(shown);
+        tbb::parallel_for(size_t{0}, shown, [&](size_t s) {
+            const size_t i = used_[s * n / shown];
+            const View& v = views_.views[i];
+            tiles[s].name = v.name;
+            tiles[s].camera = cameras[i];
+            tiles[s].mask = masks_.masks[i].coverage;
+            if (v.image_path.empty()) return;
+            Image8 photo = io::read_image8(v.image_path);
+            if (v.lens.distorts()) photo = io::undistort(photo, v.camera.intrinsics, v.lens, nullptr);
+            tiles[s].photo = std::move(photo);
+        });
+        const auto png = io::encode_png(preview_sheet(mesh_, tiles));
+        write_file(o_.output / "preview.png", png.data(), png.size());
+    }
+
+    Reconstruction finish() {
+        report_["version"] = kVersion;
+        report_["backend"] = "cpu";
+        report_["warnings"] = progress_.warnings();
+        report_["cameras"] = {{"file", views_.camera_file.string()}, {"format", views_.format}, {"up", views_.up}, {"units", views_.units}};
+        Reconstruction out;
+        out.report_json = report_.dump(1) + "\n";
+        out.mesh = measures_;
+        out.median_iou = median_iou_;
+        out.minimum_iou = minimum_iou_;
+        if (!o_.dry_run) write_file(o_.output / "report.json", out.report_json);
+        return out;
+    }
+
+    const ReconstructOptions& o_;
+    Progress& progress_;
+    StageStore store_;
+    json report_;
+    Views views_;
+    Masks masks_;
+    std::vector<std::string> mask_names_;
+    std::vector<size_t> used_;  ///< indices of views with a mask
+    std::vector<DistanceField> fields_;
+    std::vector<CarveInput> inputs_;
+    CarveOptions carve_;
+    openvdb::FloatGrid::Ptr hull_, surface_;
+    openvdb::MaskGrid::Ptr occupancy_;
+    Mesh mesh_;
+    MeshMeasures measures_;
+    std::string mask_key_, hull_key_, surface_key_, mesh_key_;
+    double median_iou_ = 0, minimum_iou_ = 0;
+};
+
+}  // namespace
+
+Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress) {
+    openvdb::initialize();
+    return Job(options, progress).run();
+}
+
+size_t clean(const fs::path& output) {
+    if (!fs::is_directory(output)) throw InputError(output.string() + ": no such folder");
+    if (!made_by_us(output)) throw InputError(output.string() + ": was not made by vdbcarve");
+    size_t bytes = 0;
+    for (const auto& entry : fs::directory_iterator(output / "stages")) {
+        if (entry.path() == output / kMarker) continue;
+        for (const auto& file : entry.is_directory() ? fs::recursive_directory_iterator(entry.path()) : fs::recursive_directory_iterator())
+            if (file.is_regular_file()) bytes += file.file_size();
+        if (entry.is_regular_file()) bytes += entry.file_size();
+        std::error_code error;
+        fs::remove_all(entry.path(), error);
+        if (error) throw OutputError(entry.path().string() + ": cannot be removed: " + error.message());
+    }
+    return bytes;
+}
+
+}  // namespace vdbcarve

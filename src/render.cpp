@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/render.h"
+
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "io_image.h"
+#include "vdbcarve/distance.h"
+
+namespace vdbcarve {
+namespace {
+
+struct ProjectedVertex {
+    double u, v, z;
+};
+
+std::vector<ProjectedVertex> project_all(const Mesh& mesh, const Camera& camera) {
+    const Intrinsics& k = camera.intrinsics;
+    std::vector<ProjectedVertex> out(mesh.vertices.size());
+    for (size_t i = 0; i < out.size(); ++i) {
+        const auto& p = mesh.vertices[i];
+        const Vec3d c = camera.camera_from_world * Vec3d(p[0], p[1], p[2]);
+        const double mx = k.orthographic ? c.x() : c.x() / c.z(), my = k.orthographic ? c.y() : c.y() / c.z();
+        out[i] = {k.fx * mx + k.skew * my + k.cx, k.fy * my + k.cy, c.z()};
+    }
+    return out;
+}
+
+/// Calls hit(x, y, triangle, w0, w1, w2) with image-space barycentric weights for every pixel centre that a
+/// triangle covers, edges included: neighbouring triangles leave no pixel between them.
+template <class Hit>
+void for_each_covered(const Mesh& mesh, const Camera& camera, const std::vector<ProjectedVertex>& vertices, const Hit& hit) {
+    const Intrinsics& k = camera.intrinsics;
+    for (size_t t = 0; t < mesh.triangles.size(); ++t) {
+        const ProjectedVertex& a = vertices[mesh.triangles[t][0]];
+        const ProjectedVertex& b = vertices[mesh.triangles[t][1]];
+        const ProjectedVertex& c = vertices[mesh.triangles[t][2]];
+        if (!k.orthographic && (a.z <= 0 || b.z <= 0 || c.z <= 0)) continue;
+        const double x_low = std::min({a.u, b.u, c.u}), x_high = std::max({a.u, b.u, c.u});
+        const double y_low = std::min({a.v, b.v, c.v}), y_high = std::max({a.v, b.v, c.v});
+        if (x_high < 0 || y_high < 0 || x_low > k.width_px || y_low > k.height_px) continue;
+        const int x0 = std::max(0, static_cast<int>(std::ceil(x_low - 0.5))), x1 = std::min(k.width_px - 1, static_cast<int>(std::floor(x_high - 0.5)));
+        const int y0 = std::max(0, static_cast<int>(std::ceil(y_low - 0.5))), y1 = std::min(k.height_px - 1, static_cast<int>(std::floor(y_high - 0.5)));
+        if (x0 > x1 || y0 > y1) continue;
+        const double area = (b.u - a.u) * (c.v - a.v) - (b.v - a.v) * (c.u - a.u);
+        if (area == 0) continue;
+        const double inverse = 1 / area;
+        constexpr double kEdge = -1e-9;  // rounding must not open a seam
+        for (int y = y0; y <= y1; ++y) {
+            const double py = y + 0.5;
+            for (int x = x0; x <= x1; ++x) {
+                const double px = x + 0.5;
+                const double w0 = ((b.u - px) * (c.v - py) - (b.v - py) * (c.u - px)) * inverse;
+                const double w1 = ((c.u - px) * (a.v - py) - (c.v - py) * (a.u - px)) * inverse;
+                const double w2 = 1 - w0 - w1;
+                if (w0 >= kEdge && w1 >= kEdge && w2 >= kEdge) hit(x, y, t, w0, w1, w2);
+            }
+        }
+    }
+}
+
+double percentile(std::vector<float>& values, double share) {
+    if (values.empty()) return 0;
+    const auto at = static_cast<long>(share * static_cast<double>(values.size() - 1));
+    std::nth_element(values.begin(), values.begin() + at, values.end());
+    return values[static_cast<size_t>(at)];
+}
+
+}  // namespace
+
+Camera scaled(const Camera& camera, double factor) {
+    Camera out = camera;
+    Intrinsics& k = out.intrinsics;
+    k.fx *= factor;
+    k.fy *= factor;
+    k.skew *= factor;
+    k.cx *= factor;
+    k.cy *= factor;
+    k.width_px = std::max(1, static_cast<int>(std::lround(k.width_px * factor)));
+    k.height_px = std::max(1, static_cast<int>(std::lround(k.height_px * factor)));
+    return out;
+}
+
+Raster rasterize(const Mesh& mesh, const Camera& camera) {
+    const Intrinsics& k = camera.intrinsics;
+    Raster out{ImageF(k.width_px, k.height_px, 1, std::numeric_limits<float>::infinity()),
+               Image<uint32_t>(k.width_px, k.height_px, 1, UINT32_MAX)};
+    const auto vertices = project_all(mesh, camera);
+    for_each_covered(mesh, camera, vertices, [&](int x, int y, size_t t, double w0, double w1, double w2) {
+        const double za = vertices[mesh.triangles[t][0]].z, zb = vertices[mesh.triangles[t][1]].z, zc = vertices[mesh.triangles[t][2]].z;
+        // 1/z is linear in the image of a perspective camera, z in that of an orthographic one.
+        const double z = k.orthographic ? w0 * za + w1 * zb + w2 * zc : 1 / (w0 / za + w1 / zb + w2 / zc);
+        float& depth = out.depth.at(x, y);
+        if (static_cast<float>(z) < depth) {
+            depth = static_cast<float>(z);
+            out.face.at(x, y) = static_cast<uint32_t>(t);
+        }
+    });
+    return out;
+}
+
+Image8 silhouette_of(const Mesh& mesh, const Camera& camera) {
+    Image8 out(camera.intrinsics.width_px, camera.intrinsics.height_px);
+    for_each_covered(mesh, camera, project_all(mesh, camera), [&](int x, int y, size_t, double, double, double) { out.at(x, y) = 255; });
+    return out;
+}
+
+Image8 coverage_of(const Mesh& mesh, const Camera& camera, int samples) {
+    const Camera fine = scaled(camera, samples);
+    const auto width = static_cast<size_t>(fine.intrinsics.width_px);
+    std::vector<bool> covered(width * static_cast<size_t>(fine.intrinsics.height_px), false);
+    for_each_covered(mesh, fine, project_all(mesh, fine), [&](int x, int y, size_t, double, double, double) {
+        covered[static_cast<size_t>(y) * width + static_cast<size_t>(x)] = true;
+    });
+    Image8 out(camera.intrinsics.width_px, camera.intrinsics.height_px);
+    const int full = samples * samples;
+    for (int y = 0; y < out.height; ++y)
+        for (int x = 0; x < out.width; ++x) {
+            int count = 0;
+            for (int sy = 0; sy < samples; ++sy)
+                for (int sx = 0; sx < samples; ++sx)
+                    count += covered[static_cast<size_t>(y * samples + sy) * width + static_cast<size_t>(x * samples + sx)];
+            out.at(x, y) = static_cast<uint8_t>((count * 255 + full / 2) / full);
+        }
+    return out;
+}
+
+SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask) {
+    SilhouetteAgreement out;
+    const int width = hit.width, height = hit.height;
+    size_t both = 0, either = 0;
+    const auto ignored = [&](int x, int y) { return !mask.ignore.empty() && mask.ignore.at(x, y) != 0; };
+    for (int y = 0; y < height; ++y)
+        for (int x = 0; x < width; ++x) {
+            if (ignored(x, y)) continue;
+            const bool a = hit.at(x, y) >= 128, b = mask.coverage.at(x, y) >= 128;
+            both += a && b;
+            either += a || b;
+            out.missed_px += b && !a;
+            out.extra_px += a && !b;
+        }
+    out.iou = either ? static_cast<double>(both) / static_cast<double>(either) : 1.0;
+    if (both == 0) return out;
+    // Where either contour runs, the two signed distances differ by the contours' displacement there.
+    const ImageF sa = signed_distance(hit), sb = signed_distance(mask.coverage);
+    std::vector<float> apart;
+    for (int y = 1; y + 1 < height; ++y)
+        for (int x = 1; x + 1 < width; ++x) {
+            if (ignored(x, y)) continue;
+            const auto on_contour = [&](const ImageF& s) {
+                return s.at(x, y) < 0 && (s.at(x - 1, y) >= 0 || s.at(x + 1, y) >= 0 || s.at(x, y - 1) >= 0 || s.at(x, y + 1) >= 0);
+            };
+            if (on_contour(sa) || on_contour(sb)) apart.push_back(std::fabs(sa.at(x, y) - sb.at(x, y)));
+        }
+    out.contour_p95_px = percentile(apart, 0.95);
+    out.contour_p99_px = percentile(apart, 0.99);
+    return out;
+}
+
+Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views) {
+    constexpr int kTileWidth = 320;
+    std::vector<Image8> tiles(views.size());
+    tbb::parallel_for(size_t{0}, views.size(), [&](size_t i) {
+        const PreviewView& view = views[i];
+        const Camera camera = scaled(view.camera, static_cast<double>(kTileWidth) / view.camera.intrinsics.width_px);
+        const int width = camera.intrinsics.width_px, height = camera.intrinsics.height_px;
+        const Image8 mask = io::downscale(view.mask, width, height);
+        const Image8 photo = view.photo.empty() ? Image8() : io::downscale(view.photo, width, height);
+        const Raster raster = rasterize(mesh, camera);
+        Image8& tile = tiles[i] = Image8(width, height, 3);
+        for (int y = 0; y < height; ++y)
+            for (int x = 0; x < width; ++x) {
+                double rgb[3] = {0, 0, 0};
+                if (!photo.empty())
+                    for (int c = 0; c < 3; ++c) rgb[c] = 0.35 * photo.at(x, y, photo.channels >= 3 ? c : 0);
+                const uint32_t t = raster.face.at(x, y);
+                const bool hit = t != UINT32_MAX, object = mask.at(x, y) >= 128;
+                if (hit) {
+                    Vec3d p[3];
+                    for (size_t c = 0; c < 3; ++c) {
+                        const auto& v = mesh.vertices[mesh.triangles[t][c]];
+                        p[c] = Vec3d(v[0], v[1], v[2]);
+                    }
+                    const Vec3d n = (p[1] - p[0]).cross(p[2] - p[0]).normalized();
+                    // A lamp above the camera's left shoulder.
+                    const Vec3d lamp = camera.camera_from_world.rotation.transpose() * Vec3d(-0.4, -0.6, -0.8).normalized();
+                    const double light = 40 + 200 * std::max(0.0, n.dot(lamp));
+                    for (double& c : rgb) c = light;
+                }
+                if (hit && !object) {
+                    rgb[0] = 40, rgb[1] = 90, rgb[2] = 255;
+                }
+                if (!hit && object) {
+                    rgb[0] = 255, rgb[1] = 40, rgb[2] = 30;
+                }
+                for (int c = 0; c < 3; ++c) tile.at(x, y, c) = static_cast<uint8_t>(std::clamp(rgb[c], 0.0, 255.0));
+            }
+    });
+    int tile_height = 1;
+    for (const Image8& t : tiles) tile_height = std::max(tile_height, t.height);
+    const int columns = views.size() <= 4 ? static_cast<int>(views.size()) : 4;
+    const int rows = columns ? (static_cast<int>(views.size()) + columns - 1) / columns : 0;
+    Image8 sheet(std::max(1, columns * (kTileWidth + 4)), std::max(1, rows * (tile_height + 4)), 3, 24);
+    for (size_t i = 0; i < tiles.size(); ++i) {
+        const int ox = static_cast<int>(i) % columns * (kTileWidth + 4) + 2, oy = static_cast<int>(i) / columns * (tile_height + 4) + 2;
+        for (int y = 0; y < tiles[i].height; ++y)
+            for (int x = 0; x < tiles[i].width; ++x)
+                for (int c = 0; c < 3; ++c) sheet.at(ox + x, oy + y, c) = tiles[i].at(x, y, c);
+    }
+    return sheet;
+}
+
+}  // namespace vdbcarve

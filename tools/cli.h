@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the commands of the command line share.
+#pragma once
+
+#include <CLI/CLI.hpp>
+
+#include "vdbcarve/progress.h"
+
+namespace vdbcarve::cli {
+
+/// Options before or after any command.
+struct Common {
+    bool quiet = false, verbose = false;
+    int threads = 0;  ///< 0: all
+    std::string json;  ///< "-": JSON on stdout
+};
+
+/// A command adds itself to the program; `run` is called after parsing and returns the exit code.
+struct Command {
+    CLI::App* app;
+    std::function<int(Common&, Progress&)> run;
+};
+
+Command add_reconstruct(CLI::App& program);
+Command add_mask(CLI::App& program);
+Command add_carve(CLI::App& program);
+Command add_synth(CLI::App& program);
+Command add_info(CLI::App& program);
+Command add_clean(CLI::App& program);
+
+/// "a,b,c" as numbers. Throws UsageError naming the option.
+std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');
+
+}  // namespace vdbcarve::cli

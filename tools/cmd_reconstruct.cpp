@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: Apache-2.0
+// reconstruct, and its first parts as commands of their own: mask, carve.
+#include <spdlog/spdlog.h>
+
+#include <iostream>
+#include <memory>
+
+#include "cli.h"
+#include "vdbcarve/pipeline.h"
+
+namespace vdbcarve::cli {
+namespace {
+
+struct Raw {
+    ReconstructOptions options;
+    std::string bounds, grid, origin, threshold = "otsu";
+    bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
+};
+
+void read_raw(Raw& raw) {
+    ReconstructOptions& o = raw.options;
+    if (!raw.bounds.empty()) {
+        const auto b = numbers("--bounds", raw.bounds, 6);
+        o.bounds = Box3d();
+        o.bounds->min() = Vec3d(b[0], b[1], b[2]);
+        o.bounds->max() = Vec3d(b[3], b[4], b[5]);
+    }
+    if (!raw.grid.empty()) {
+        const auto g = numbers("--grid", raw.grid, 3, 'x');
+        o.grid = {static_cast<int>(g[0]), static_cast<int>(g[1]), static_cast<int>(g[2])};
+    }
+    if (!raw.origin.empty()) {
+        const auto p = numbers("--origin", raw.origin, 3);
+        o.origin = Vec3d(p[0], p[1], p[2]);
+    }
+    if (raw.threshold != "otsu") {
+        o.mask.threshold.level = numbers("--threshold", raw.threshold, 1)[0];
+        if (o.mask.threshold.level < 0 || o.mask.threshold.level > 255)
+            throw UsageError("--threshold " + raw.threshold + ": must be otsu or within 0..255");
+    }
+    o.views.allow_missing = o.mask.allow_missing;
+}
+
+Command add(CLI::App& program, const char* name, const char* what, LastStage last) {
+    auto raw = std::make_shared<Raw>();
+    ReconstructOptions& o = raw->options;
+    o.last_stage = last;
+    CLI::App* app = program.add_subcommand(name, what);
+    app->fallthrough();
+    app->add_option("scene", o.views.scene, "folder with images/ (or photos directly in it), masks/ and a camera file")->required();
+    app->add_option("-o,--output", o.output, "folder for the result")->required();
+
+    app->add_option("--images", o.views.images, "folder of photographs")->group("Scene");
+    app->add_option("--cameras", o.views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices")->group("Scene");
+    app->add_option("--masks", o.mask.masks, "folder of masks (white = object)")->group("Scene");
+    static const std::map<std::string, MaskMethod> methods{
+        {"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}};
+    app->add_option("--mask", o.mask.method, "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold")
+        ->transform(CLI::CheckedTransformer(methods, CLI::ignore_case))
+        ->group("Masks");
+    app->add_option("--mask-pattern", o.mask.pattern, "mask files by name, like '{stem}_m.png'")->group("Masks");
+    app->add_option("--ignore-masks", o.mask.ignore_masks, "folder of masks of what neither carves nor confirms")->group("Masks");
+    app->add_flag("--mask-invert", o.mask.invert, "masks are black where the object is")->group("Masks");
+    app->add_flag("--allow-missing", o.mask.allow_missing, "leave out views whose image or mask is missing or empty")->group("Masks");
+    app->add_option("--threshold", raw->threshold, "level 0..255 for --mask threshold, or otsu")->capture_default_str()->group("Masks");
+    static const std::map<std::string, MaskChannel> channels{{"brightness", MaskChannel::Brightness}, {"saturation", MaskChannel::Saturation},
+                                                             {"red", MaskChannel::Red}, {"green", MaskChannel::Green}, {"blue", MaskChannel::Blue}};
+    app->add_option("--threshold-channel", o.mask.threshold.channel, "brightness (largest of R, G, B), saturation, red, green or blue")
+        ->transform(CLI::CheckedTransformer(channels, CLI::ignore_case))
+        ->group("Masks");
+    app->add_flag("--threshold-invert", o.mask.threshold.invert, "the object is what is darker")->group("Masks");
+    app->add_option("--mask-open", o.mask.threshold.open_px, "opening of threshold masks, px")->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-close", o.mask.threshold.close_px, "closing of threshold masks, px")->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-fill-holes", o.mask.threshold.fill_holes, "fill holes up to this share of the object's area (1: all)")
+        ->capture_default_str()
+        ->check(CLI::Range(0.0, 1.0))
+        ->group("Masks");
+    app->add_flag("--mask-largest,!--mask-all-components", o.mask.threshold.largest_component, "keep only the largest piece of a threshold mask (default)")->group("Masks");
+
+    if (last != LastStage::Mask) {
+        app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(CLI::PositiveNumber)->group("Grid");
+        app->add_option("--voxel-size", o.voxel_size, "edge of a voxel, scene units")->check(CLI::PositiveNumber)->group("Grid");
+        app->add_option("--grid", raw->grid, "voxels along x, y and z, like 1024x512x1024")->group("Grid");
+        app->add_option("--bounds", raw->bounds, "xmin,ymin,zmin,xmax,ymax,zmax: clip to this box (default: found from the silhouettes)")->group("Grid");
+        app->add_option("--origin", raw->origin, "x,y,z of the voxel lattice's corner (default 0,0,0)")->group("Grid");
+        app->add_option("--max-misses", o.max_misses, "so many views may show background and a voxel stays")->check(CLI::Range(0, 15))->group("Carving");
+        app->add_option("--min-seen", o.min_seen, "share of the views that must have a point in frame")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Carving");
+        static const std::map<std::string, bool> outside{{"unknown", false}, {"background", true}};
+        app->add_option("--outside", o.outside_is_background, "what lies outside an image: unknown (default) or background (the paper)")
+            ->transform(CLI::CheckedTransformer(outside, CLI::ignore_case))
+            ->group("Carving");
+        app->add_option("--silhouette-offset", o.distance.silhouette_offset_px, "grow silhouettes by so many pixels")->group("Carving");
+        app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
+        static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
+        app->add_option("--backend", o.backend, "auto, cpu or cuda")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case))->group("Carving");
+        app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
+    }
+    if (last == LastStage::Export) {
+        app->add_option("--adaptivity", o.adaptivity, "0: uniform mesh; up to 1: larger faces where flat")->check(CLI::Range(0.0, 1.0))->group("Result");
+        app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,stl")->delimiter(',')->capture_default_str()->group("Result");
+    }
+    app->add_option("--up", o.views.up, "world up axis: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group("Result");
+    app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, inch …")->group("Result");
+    app->add_flag("--force", o.force, "write into a folder that vdbcarve did not make");
+    app->add_flag("--resume", raw->resume, "go on where a run stopped (always so: finished stages are never redone)");
+    static const std::map<std::string, PixelCentre> centres{{"corner", PixelCentre::Corner}, {"integer", PixelCentre::Integer}};
+    app->add_option("--pixel-centre", o.views.pixel_centre, "centre of the first pixel: corner (0.5, 0.5) or integer (0, 0); default: the camera format's own")
+        ->transform(CLI::CheckedTransformer(centres, CLI::ignore_case))
+        ->group("Scene");
+    app->add_flag("--accept-non-metric", o.views.accept_non_metric, "carve in a projective world all the same")->group("Scene");
+
+    return {app, [raw, app, &program](Common& common, Progress& progress) {
+                read_raw(*raw);
+                ReconstructOptions& options = raw->options;
+                options.config_text = program.config_to_str(false, false);
+                const bool json = common.json == "-";
+                options.on_stage = [&](const std::string& event) {
+                    if (json) std::cout << event << std::endl;
+                    const auto field = [&](const std::string& key) {
+                        const size_t at = event.find("\"" + key + "\":") + key.size() + 3;
+                        return event.substr(at, event.find_first_of(",}", at) - at);
+                    };
+                    const bool reused = field("reused") == "true";
+                    spdlog::info("{:<10} {:>8.2f} s{}", field("name").substr(1, field("name").size() - 2), std::stod(field("seconds")), reused ? "  (already there)" : "");
+                };
+                const Reconstruction result = reconstruct(options, progress);
+                if (json) {
+                    std::string line = result.report_json;
+                    line.erase(std::remove(line.begin(), line.end(), '\n'), line.end());
+                    std::cout << line << std::endl;
+                } else if (options.dry_run) {
+                    std::cout << result.report_json;
+                }
+                if (options.dry_run) return 0;
+                if (options.last_stage == LastStage::Export)
+                    spdlog::info("mesh: {} vertices, {} faces, {}, genus {}, volume {:.6g}; silhouette IoU median {:.4f}, minimum {:.4f}", result.mesh.vertices,
+                                 result.mesh.faces, result.mesh.manifold ? "closed manifold" : "NOT a closed manifold", result.mesh.genus, result.mesh.volume,
+                                 result.median_iou, result.minimum_iou);
+                spdlog::info("result in {}", options.output.string());
+                return 0;
+            }};
+}
+
+}  // namespace
+
+Command add_reconstruct(CLI::App& program) {
+    return add(program, "reconstruct", "everything: views, masks, carving, level set, mesh, files", LastStage::Export);
+}
+Command add_mask(CLI::App& program) { return add(program, "mask", "only the masks, into OUT/masks", LastStage::Mask); }
+Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve); }
+
+}  // namespace vdbcarve::cli

@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+#include <tbb/global_control.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <memory>
+#include <optional>
+
+#include "cli.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/version.h"
+
+namespace {
+
+vdbcarve::Progress* g_progress = nullptr;
+
+void on_signal(int) {
+    if (g_progress) g_progress->cancel();
+}
+
+/// A bar with rate and time left on a terminal, nothing elsewhere (stages are logged as they end).
+class Bar {
+  public:
+    void show(const std::string& stage, double share) {
+        const auto now = std::chrono::steady_clock::now();
+        if (stage != stage_ || share < share_) {
+            stage_ = stage;
+            start_ = now;
+        }
+        share_ = share;
+        if (share < 1 && now - drawn_ < std::chrono::milliseconds(100)) return;
+        drawn_ = now;
+        const double elapsed = std::chrono::duration<double>(now - start_).count();
+        const int filled = static_cast<int>(30 * share);
+        std::fprintf(stderr, "\r%-10s [%.*s%.*s] %3.0f %%  %.1f s, %.1f s left \033[K", stage.c_str(), filled, "##############################", 30 - filled,
+                     "..............................", 100 * share, elapsed, share > 0 ? elapsed * (1 - share) / share : 0.0);
+        if (share >= 1) clear();
+        drawn_something_ = share < 1;
+    }
+    void clear() {
+        std::fprintf(stderr, "\r\033[K");
+        std::fflush(stderr);
+        drawn_something_ = false;
+    }
+    bool on_screen() const { return drawn_something_; }
+
+  private:
+    std::string stage_;
+    double share_ = 0;
+    bool drawn_something_ = false;
+    std::chrono::steady_clock::time_point start_, drawn_;
+};
+
+}  // namespace
+
+namespace vdbcarve::cli {
+
+std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator) {
+    std::vector<double> out;
+    std::istringstream in(text);
+    for (std::string word; std::getline(in, word, separator);) {
+        try {
+            size_t used = 0;
+            out.push_back(std::stod(word, &used));
+            if (used != word.size()) throw std::invalid_argument(word);
+        } catch (const std::exception&) {
+            throw UsageError(option + " " + text + ": '" + word + "' is not a number");
+        }
+    }
+    if (out.size() != count) throw UsageError(option + " " + text + ": " + std::to_string(count) + " numbers are expected, separated by '" + separator + "'");
+    return out;
+}
+
+}  // namespace vdbcarve::cli
+
+int main(int argc, char** argv) {
+    using namespace vdbcarve;
+    spdlog::set_default_logger(spdlog::stderr_color_mt("vdbcarve"));
+    spdlog::set_pattern("%^%l%$ %v");
+
+    CLI::App program{"vdbcarve: photos around an object become a sparse volume (.vdb) and a closed mesh"};
+    program.set_version_flag("--version", std::string("vdbcarve ") + kVersion);
+    program.require_subcommand(1);
+    program.fallthrough();
+    program.footer(
+        "Examples:\n"
+        "  vdbcarve synth cup -o shoot                       make a synthetic shoot: photos, masks, cameras, truth\n"
+        "  vdbcarve reconstruct shoot -o out                 masks and cameras of the scene -> out/volume.vdb, out/mesh.ply\n"
+        "  vdbcarve reconstruct dino --mask threshold -o out photographs on black, masks by a threshold\n"
+        "  vdbcarve info out                                 what a file or a result holds\n"
+        "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");
+    cli::Common common;
+    program.add_flag("--quiet", common.quiet, "only warnings and errors");
+    program.add_flag("--verbose", common.verbose, "more of what is going on");
+    program.add_option("--threads", common.threads, "threads to use (0: all)")->check(CLI::NonNegativeNumber);
+    program.add_option("--json", common.json, "'-': JSON on stdout, one event a line, the report last")->check(CLI::IsMember({"-"}));
+    program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
+
+    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_mask(program), cli::add_carve(program),
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program)};
+    try {
+        program.parse(argc, argv);
+    } catch (const CLI::ParseError& e) {
+        const int code = program.exit(e, std::cout, std::cerr);
+        return code == 0 ? 0 : static_cast<int>(ExitCode::Usage);
+    }
+    if (common.quiet) spdlog::set_level(spdlog::level::warn);
+    if (common.verbose) spdlog::set_level(spdlog::level::debug);
+
+    Progress progress;
+    g_progress = &progress;
+    std::signal(SIGINT, on_signal);
+    std::signal(SIGTERM, on_signal);
+    Bar bar;
+    const auto say = [&](auto level, const std::string& text) {
+        if (bar.on_screen()) bar.clear();
+        spdlog::log(level, "{}", text);
+    };
+    progress.on_note = [&](const std::string& text) { say(spdlog::level::info, text); };
+    progress.on_warning = [&](const std::string& text) { say(spdlog::level::warn, text); };
+    if (isatty(STDERR_FILENO) && !common.quiet) progress.on_progress = [&](const std::string& stage, double share) { bar.show(stage, share); };
+
+    std::optional<tbb::global_control> limit;
+    if (common.threads > 0) limit.emplace(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(common.threads));
+    const auto fail = [&](ExitCode code, const std::string& text) {
+        if (bar.on_screen()) bar.clear();
+        spdlog::error("{}", text);
+        return static_cast<int>(code);
+    };
+    try {
+        for (const cli::Command& c : commands)
+            if (c.app->parsed()) return c.run(common, progress);
+    } catch (const Error& e) {
+        return fail(e.code(), e.what());
+    } catch (const std::bad_alloc&) {
+        return fail(ExitCode::Input, "out of memory. Remedy: a lower --resolution");
+    } catch (const std::filesystem::filesystem_error& e) {
+        return fail(ExitCode::Output, e.what());
+    } catch (const std::exception& e) {
+        return fail(ExitCode::Input, std::string("unexpected: ") + e.what());
+    }
+    return 0;
+}
