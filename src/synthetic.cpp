@@ -1,0 +1,565 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/synthetic.h"
+
+#include <openvdb/openvdb.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <numbers>
+#include <random>
+
+#include "atomic_file.h"
+#include "io_image.h"
+#include "vdbcarve/mesh.h"
+#include "vdbcarve/render.h"
+
+namespace vdbcarve {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr double kPi = std::numbers::pi;
+
+double box_value(const Vec3d& p, const Vec3d& half) {
+    const Vec3d q = p.cwiseAbs() - half;
+    return q.cwiseMax(0.0).norm() + std::min(q.maxCoeff(), 0.0);
+}
+
+double torus_value(const Vec3d& p, double ring, double tube) {
+    return std::hypot(std::hypot(p.x(), p.y()) - ring, p.z()) - tube;
+}
+
+double cylinder_value(const Vec3d& p, double radius, double z_low, double z_high) {
+    const double across = std::hypot(p.x(), p.y()) - radius, along = std::max(z_low - p.z(), p.z() - z_high);
+    return std::hypot(std::max(across, 0.0), std::max(along, 0.0)) + std::min(std::max(across, along), 0.0);
+}
+
+double cup_value(const Vec3d& p, double radius, double half_height, double wall) {
+    const double outer = cylinder_value(p, radius, -half_height, half_height);
+    const double hollow = cylinder_value(p, radius - wall, -half_height + 1.5 * wall, 2 * half_height);
+    // The handle: a ring standing upright, its plane holds the z axis; what would stick into the hollow is cut.
+    const Vec3d h(p.x() - radius, p.z(), p.y());
+    const double handle = torus_value(h, 0.6 * half_height, 0.8 * wall);
+    return std::max(std::min(outer, handle), -hollow);
+}
+
+}  // namespace
+
+double Solid::value(const Vec3d& point_world) const {
+    const Vec3d p = world_from_solid.inverse() * point_world;
+    switch (kind) {
+        case Kind::Ellipsoid: return (p.cwiseQuotient(size).norm() - 1) * size.minCoeff();
+        case Kind::Box: return box_value(p, size);
+        case Kind::Torus: return torus_value(p, size[0], size[1]);
+        case Kind::Cup: return cup_value(p, size[0], size[1], size[2]);
+    }
+    return 0;
+}
+
+double Solid::reach() const {
+    switch (kind) {
+        case Kind::Ellipsoid: return size.maxCoeff();
+        case Kind::Box: return size.norm();
+        case Kind::Torus: return size[0] + size[1];
+        case Kind::Cup: return std::hypot(size[0], size[1]) + 0.6 * size[1] + 0.8 * size[2];
+    }
+    return 0;
+}
+
+std::optional<double> Solid::hit(const Camera::Ray& ray_world) const {
+    const Mat3d turn = world_from_solid.rotation.transpose();
+    const Vec3d from_centre = ray_world.origin - world_from_solid.translation;
+    const double miss2 = from_centre.squaredNorm() - std::pow(from_centre.dot(ray_world.direction), 2);
+    if (miss2 > reach() * reach()) return std::nullopt;
+    const Vec3d o = turn * from_centre, d = turn * ray_world.direction;
+    if (kind == Kind::Ellipsoid) {
+        const Vec3d os = o.cwiseQuotient(size), ds = d.cwiseQuotient(size);
+        const double a = ds.squaredNorm(), b = os.dot(ds), c = os.squaredNorm() - 1, disc = b * b - a * c;
+        if (disc < 0) return std::nullopt;
+        const double t = (-b - std::sqrt(disc)) / a;
+        return t > 0 ? std::optional(t) : std::nullopt;
+    }
+    if (kind == Kind::Box) {
+        double t0 = 0, t1 = INFINITY;
+        for (int a = 0; a < 3; ++a) {
+            const double u = (-size[a] - o[a]) / d[a], v = (size[a] - o[a]) / d[a];
+            t0 = std::max(t0, std::min(u, v));
+            t1 = std::min(t1, std::max(u, v));
+        }
+        return t0 <= t1 ? std::optional(t0) : std::nullopt;
+    }
+    // Sphere tracing between the entry into and the exit from the ball that holds the solid.
+    const double ball = reach(), b = o.dot(d), disc = b * b - (o.squaredNorm() - ball * ball);
+    if (disc < 0) return std::nullopt;
+    double t = std::max(0.0, -b - std::sqrt(disc));
+    const double end = -b + std::sqrt(disc), close = 1e-5 * ball;  // far below a sample's width
+    for (int step = 0; step < 400 && t <= end; ++step) {
+        const Vec3d p = o + t * d;
+        const double v = kind == Kind::Torus ? torus_value(p, size[0], size[1]) : cup_value(p, size[0], size[1], size[2]);
+        if (v < close) return t;
+        t += v;
+    }
+    return std::nullopt;
+}
+
+namespace {
+
+/// Uniform in -1..1, the same on every standard library.
+class Dice {
+  public:
+    explicit Dice(uint64_t seed) : engine_(seed) {}
+    double operator()() { return static_cast<double>(engine_() >> 11) * 0x1p-52 - 1.0; }
+
+  private:
+    std::mt19937_64 engine_;
+};
+
+Camera look_at(const Vec3d& centre, const Vec3d& target, double roll_rad, const Intrinsics& k) {
+    const Vec3d z = (target - centre).normalized();
+    Vec3d up = Vec3d::UnitZ();
+    if (std::abs(z.dot(up)) > 0.999) up = Vec3d::UnitY();
+    const Vec3d x0 = z.cross(up).normalized(), y0 = z.cross(x0);
+    const double c = std::cos(roll_rad), s = std::sin(roll_rad);
+    Camera camera;
+    camera.intrinsics = k;
+    camera.camera_from_world.rotation.row(0) = (c * x0 + s * y0).transpose();
+    camera.camera_from_world.rotation.row(1) = (-s * x0 + c * y0).transpose();
+    camera.camera_from_world.rotation.row(2) = z.transpose();
+    camera.camera_from_world.translation = -(camera.camera_from_world.rotation * centre);
+    return camera;
+}
+
+struct Direction {
+    double azimuth_rad, elevation_rad;
+};
+
+std::vector<Direction> directions(const Rig& rig) {
+    std::vector<Direction> out;
+    const auto ring = [&](int views, double elevation_deg, double phase) {
+        for (int i = 0; i < views; ++i) out.push_back({2 * kPi * (i + phase) / views, elevation_deg * kPi / 180});
+    };
+    switch (rig.kind) {
+        case Rig::Kind::Orbit: ring(rig.views, rig.elevation_deg, 0); break;
+        case Rig::Kind::Rings:
+            for (size_t r = 0; r < rig.rings.size(); ++r) ring(rig.rings[r].views, rig.rings[r].elevation_deg, r % 2 ? 0.5 : 0);
+            break;
+        case Rig::Kind::Dome:
+            // Fibonacci points on the upper half sphere, spread evenly by area.
+            for (int i = 0; i < rig.views; ++i) out.push_back({i * kPi * (3 - std::sqrt(5.0)), std::asin((i + 0.5) / rig.views * 0.97)});
+            break;
+    }
+    return out;
+}
+
+double hash_noise(int64_t x, int64_t y, int64_t z) {
+    uint64_t h = static_cast<uint64_t>(x) * 0x9E3779B97F4A7C15ull ^ static_cast<uint64_t>(y) * 0xC2B2AE3D27D4EB4Full ^ static_cast<uint64_t>(z) * 0x165667B19E3779F9ull;
+    h ^= h >> 29;
+    h *= 0xBF58476D1CE4E5B9ull;
+    h ^= h >> 32;
+    return static_cast<double>(h & 0xFFFFFF) / 0xFFFFFF;
+}
+
+/// Smooth value noise in 0..1, lattice spacing 1.
+double noise(const Vec3d& p) {
+    const Vec3d f(std::floor(p.x()), std::floor(p.y()), std::floor(p.z()));
+    Vec3d w = p - f;
+    for (double& a : w) a = a * a * (3 - 2 * a);
+    double sum = 0;
+    for (int c = 0; c < 8; ++c) {
+        const int i = c & 1, j = c >> 1 & 1, k = c >> 2;
+        sum += (i ? w.x() : 1 - w.x()) * (j ? w.y() : 1 - w.y()) * (k ? w.z() : 1 - w.z()) *
+               hash_noise(static_cast<int64_t>(f.x()) + i, static_cast<int64_t>(f.y()) + j, static_cast<int64_t>(f.z()) + k);
+    }
+    return sum;
+}
+
+/// Linear albedo on the object, as a function of place in units of the object's radius.
+Vec3d albedo(const Vec3d& p) {
+    const double n = 0.6 * noise(5 * p) + 0.3 * noise(11 * p) + 0.1 * noise(23 * p);
+    const double vein = std::pow(std::abs(std::sin(6 * p.x() + 4 * p.z() + 9 * n)), 4);
+    const Vec3d clay(0.62, 0.30, 0.16), glaze(0.12, 0.36, 0.45);
+    return (1 - vein) * (clay * (0.6 + 0.6 * n)) + vein * glaze;
+}
+
+/// Linear light from the room, as a function of the viewing direction.
+Vec3d room(const Vec3d& d) {
+    const double n = noise(6 * d + Vec3d(31, 7, 3)), m = noise(17 * d + Vec3d(5, 11, 40));
+    const double wall = 0.10 + 0.25 * n + 0.08 * m, floor = d.z() < -0.1 ? 0.7 : 1.0;
+    const double stripe = std::sin(14 * std::atan2(d.y(), d.x())) > 0.6 ? 0.6 : 1.0;
+    return floor * stripe * wall * Vec3d(0.9, 1.0, 1.05 + 0.3 * m);
+}
+
+uint8_t to_srgb(double linear) {
+    linear = std::clamp(linear, 0.0, 1.0);
+    const double s = linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(linear, 1 / 2.4) - 0.055;
+    return static_cast<uint8_t>(std::lround(255 * s));
+}
+
+struct SurfacePoint {
+    Vec3d position, normal;
+};
+
+/// The object, solids or mesh, as the renderer asks it.
+class Object {
+  public:
+    explicit Object(const SyntheticSpec& spec) : spec_(spec) {
+        Box3d box;
+        if (spec.solids.empty()) {
+            for (const auto& v : spec.mesh.vertices) box.extend(Vec3d(v[0], v[1], v[2]));
+        } else {
+            for (const Solid& s : spec.solids) {
+                box.extend((s.world_from_solid.translation - Vec3d::Constant(s.reach())).eval());
+                box.extend((s.world_from_solid.translation + Vec3d::Constant(s.reach())).eval());
+            }
+        }
+        if (box.isEmpty()) throw InputError("synth: " + spec.name + " has neither solids nor a mesh");
+        centre_ = box.center();
+        if (spec.solids.empty()) {
+            for (const auto& v : spec.mesh.vertices) radius_ = std::max(radius_, (Vec3d(v[0], v[1], v[2]) - centre_).norm());
+        } else {
+            // The balls around solids are generous; what counts is where the union really ends.
+            truth_ = mesh_of_solids(box);
+            Box3d tight;
+            for (const auto& v : truth_.vertices) tight.extend(Vec3d(v[0], v[1], v[2]));
+            centre_ = tight.center();
+            for (const auto& v : truth_.vertices) radius_ = std::max(radius_, (Vec3d(v[0], v[1], v[2]) - centre_).norm());
+        }
+    }
+    const Vec3d& centre() const { return centre_; }
+    double radius() const { return radius_; }
+    const Mesh& truth() const { return spec_.solids.empty() ? spec_.mesh : truth_; }
+
+    Image8 coverage(const Camera& camera) const {
+        if (spec_.solids.empty()) return coverage_of(spec_.mesh, camera, 16);
+        // Traced rays cost a hundred times a closed form; 8 x 8 of them still tell 1/64 of a pixel.
+        const bool closed_form = std::all_of(spec_.solids.begin(), spec_.solids.end(),
+                                             [](const Solid& s) { return s.kind == Solid::Kind::Ellipsoid || s.kind == Solid::Kind::Box; });
+        const int samples = closed_form ? 16 : 8;
+        const Intrinsics& k = camera.intrinsics;
+        const auto at = [&](double u, double v) { return hit(camera.ray({u, v})).has_value(); };
+        // Pixels whose corners and centre agree are whole; the rest are counted in samples.
+        const int width = k.width_px, height = k.height_px;
+        std::vector<bool> corner(static_cast<size_t>(width + 1) * static_cast<size_t>(height + 1));
+        for (int y = 0; y <= height; ++y)
+            for (int x = 0; x <= width; ++x) corner[static_cast<size_t>(y) * static_cast<size_t>(width + 1) + static_cast<size_t>(x)] = at(x, y);
+        Image8 out(width, height);
+        for (int y = 0; y < height; ++y)
+            for (int x = 0; x < width; ++x) {
+                const auto c = [&](int i, int j) { return corner[static_cast<size_t>(y + j) * static_cast<size_t>(width + 1) + static_cast<size_t>(x + i)]; };
+                const bool first = c(0, 0);
+                if (first == c(1, 0) && first == c(0, 1) && first == c(1, 1) && first == at(x + 0.5, y + 0.5)) {
+                    out.at(x, y) = first ? 255 : 0;
+                    continue;
+                }
+                int count = 0;
+                for (int j = 0; j < samples; ++j)
+                    for (int i = 0; i < samples; ++i) count += at(x + (i + 0.5) / samples, y + (j + 0.5) / samples);
+                out.at(x, y) = static_cast<uint8_t>((count * 255 + samples * samples / 2) / (samples * samples));
+            }
+        return out;
+    }
+
+    /// What each pixel centre sees; nothing where it sees past the object.
+    std::vector<std::optional<SurfacePoint>> surface(const Camera& camera) const {
+        const Intrinsics& k = camera.intrinsics;
+        std::vector<std::optional<SurfacePoint>> out(static_cast<size_t>(k.width_px) * static_cast<size_t>(k.height_px));
+        const Raster raster = spec_.solids.empty() ? rasterize(spec_.mesh, camera) : Raster{};
+        for (int y = 0; y < k.height_px; ++y)
+            for (int x = 0; x < k.width_px; ++x) {
+                auto& point = out[static_cast<size_t>(y) * static_cast<size_t>(k.width_px) + static_cast<size_t>(x)];
+                const Camera::Ray ray = camera.ray({x + 0.5, y + 0.5});
+                if (!spec_.solids.empty()) {
+                    if (const auto t = hit(ray)) {
+                        const Vec3d p = ray.origin + *t * ray.direction;
+                        point = SurfacePoint{p, gradient(p)};
+                    }
+                } else if (const uint32_t face = raster.face.at(x, y); face != UINT32_MAX) {
+                    Vec3d v[3];
+                    for (size_t c = 0; c < 3; ++c) {
+                        const auto& q = spec_.mesh.vertices[spec_.mesh.triangles[face][c]];
+                        v[c] = Vec3d(q[0], q[1], q[2]);
+                    }
+                    const double along = raster.depth.at(x, y) / ray.direction.dot(camera.forward_world());
+                    point = SurfacePoint{ray.origin + along * ray.direction, (v[1] - v[0]).cross(v[2] - v[0]).normalized()};
+                }
+            }
+        return out;
+    }
+
+  private:
+    double value(const Vec3d& p) const {
+        double v = INFINITY;
+        for (const Solid& s : spec_.solids) v = std::min(v, s.value(p));
+        return v;
+    }
+    Vec3d gradient(const Vec3d& p) const {
+        const double h = 1e-5 * radius_;
+        Vec3d g;
+        for (int a = 0; a < 3; ++a) g[a] = value(p + h * Vec3d::Unit(a)) - value(p - h * Vec3d::Unit(a));
+        return g.normalized();
+    }
+    std::optional<double> hit(const Camera::Ray& ray) const {
+        std::optional<double> nearest;
+        for (const Solid& s : spec_.solids)
+            if (const auto t = s.hit(ray); t && (!nearest || *t < *nearest)) nearest = t;
+        return nearest;
+    }
+    Mesh mesh_of_solids(const Box3d& box) const {
+        constexpr int kSide = 192;
+        const double h = box.sizes().maxCoeff() / kSide;
+        openvdb::initialize();
+        openvdb::FloatGrid::Ptr grid = openvdb::FloatGrid::create(static_cast<float>(3 * h));
+        grid->setGridClass(openvdb::GRID_LEVEL_SET);
+        auto accessor = grid->getAccessor();
+        const Vec3d n = (box.sizes() / h).array().ceil();
+        std::vector<std::vector<std::pair<openvdb::Coord, float>>> slices(static_cast<size_t>(n[0]) + 5);
+        tbb::parallel_for(size_t{0}, slices.size(), [&](size_t s) {
+            const int i = static_cast<int>(s) - 2;
+            for (int j = -2; j < n[1] + 3; ++j)
+                for (int k = -2; k < n[2] + 3; ++k) {
+                    const double v = value(box.min() + h * Vec3d(i, j, k));
+                    if (std::abs(v) < 3 * h) slices[s].emplace_back(openvdb::Coord(i, j, k), static_cast<float>(v));
+                    else if (v < 0) slices[s].emplace_back(openvdb::Coord(i, j, k), static_cast<float>(-3 * h));
+                }
+        });
+        for (const auto& slice : slices)
+            for (const auto& [c, v] : slice) accessor.setValue(c, v);
+        Progress quiet;
+        Mesh mesh = extract_mesh(*grid, {}, quiet);
+        for (auto& v : mesh.vertices) {
+            Vec3d p = box.min() + h * Vec3d(v[0], v[1], v[2]);
+            // Newton steps onto the surface; not across creases, where the gradient jumps.
+            for (int step = 0; step < 3; ++step) {
+                const double e = 1e-4 * h, f = value(p);
+                Vec3d g;
+                for (int a = 0; a < 3; ++a) g[a] = (value(p + e * Vec3d::Unit(a)) - value(p - e * Vec3d::Unit(a))) / (2 * e);
+                const double g2 = g.squaredNorm();
+                if (g2 > 1e-6) p -= std::clamp(f / std::sqrt(g2), -0.5 * h, 0.5 * h) * g / std::sqrt(g2);
+            }
+            v = {static_cast<float>(p.x()), static_cast<float>(p.y()), static_cast<float>(p.z())};
+        }
+        return mesh;
+    }
+
+    const SyntheticSpec& spec_;
+    Vec3d centre_ = Vec3d::Zero();
+    double radius_ = 0;
+    Mesh truth_;
+};
+
+Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage) {
+    const Intrinsics& k = camera.intrinsics;
+    const auto surface = object.surface(camera);
+    Image8 out(k.width_px, k.height_px, 3);
+    const Vec3d key = Vec3d(0.5, -0.6, 0.9).normalized(), fill = Vec3d(-0.8, 0.3, 0.2).normalized();
+    for (int y = 0; y < k.height_px; ++y)
+        for (int x = 0; x < k.width_px; ++x) {
+            Vec3d light = room(camera.ray({x + 0.5, y + 0.5}).direction);
+            const double alpha = coverage.at(x, y) / 255.0;
+            if (alpha > 0) {
+                // A pixel that is partly covered but whose centre sees past takes a neighbour's surface.
+                const SurfacePoint* point = nullptr;
+                for (const auto& [dx, dy] : {std::pair{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}, {-1, 1}, {1, -1}, {-1, -1}}) {
+                    const int nx = x + dx, ny = y + dy;
+                    if (nx < 0 || ny < 0 || nx >= k.width_px || ny >= k.height_px) continue;
+                    const auto& s = surface[static_cast<size_t>(ny) * static_cast<size_t>(k.width_px) + static_cast<size_t>(nx)];
+                    if (s) {
+                        point = &*s;
+                        break;
+                    }
+                }
+                if (point) {
+                    const double lambert = 0.22 + 0.75 * std::max(0.0, point->normal.dot(key)) + 0.25 * std::max(0.0, point->normal.dot(fill));
+                    light = (1 - alpha) * light + alpha * lambert * albedo((point->position - object.centre()) / object.radius());
+                }
+            }
+            for (int c = 0; c < 3; ++c) out.at(x, y, c) = to_srgb(light[c]);
+        }
+    return out;
+}
+
+std::string frame_name(size_t i) {
+    const std::string n = std::to_string(i);
+    return std::string(4 - std::min<size_t>(4, n.size()), '0') + n + ".png";
+}
+
+}  // namespace
+
+SyntheticSpec builtin_spec(const std::string& name) {
+    SyntheticSpec spec;
+    spec.name = name;
+    const auto add = [&](Solid::Kind kind, const Vec3d& size, const Vec3d& centre, const Vec3d& turn_deg) {
+        Solid s;
+        s.kind = kind;
+        s.size = size;
+        const Vec3d r = turn_deg * kPi / 180;
+        s.world_from_solid.rotation = (Eigen::AngleAxisd(r.z(), Vec3d::UnitZ()) * Eigen::AngleAxisd(r.y(), Vec3d::UnitY()) * Eigen::AngleAxisd(r.x(), Vec3d::UnitX())).toRotationMatrix();
+        s.world_from_solid.translation = centre;
+        spec.solids.push_back(s);
+    };
+    if (name == "cup") {
+        add(Solid::Kind::Cup, {0.45, 0.5, 0.06}, {0, 0, 0}, {0, 0, 20});
+    } else if (name == "ellipsoids") {
+        add(Solid::Kind::Ellipsoid, {0.55, 0.35, 0.3}, {0, 0, 0}, {10, 20, 30});
+        add(Solid::Kind::Ellipsoid, {0.2, 0.25, 0.45}, {0.35, 0.1, 0.3}, {25, -15, 0});
+        add(Solid::Kind::Ellipsoid, {0.18, 0.4, 0.15}, {-0.4, -0.2, 0.1}, {0, 30, 40});
+        add(Solid::Kind::Ellipsoid, {0.12, 0.12, 0.5}, {0, 0.3, -0.3}, {-20, 0, 0});
+    } else if (name == "boxes") {
+        add(Solid::Kind::Box, {0.4, 0.3, 0.2}, {0, 0, -0.1}, {0, 0, 25});
+        add(Solid::Kind::Box, {0.12, 0.35, 0.3}, {0.1, 0, 0.25}, {20, 35, 0});
+    } else if (name == "torus") {
+        add(Solid::Kind::Torus, {0.45, 0.14, 0}, {0, 0, 0}, {60, 10, 0});
+    } else {
+        throw UsageError("synth: no built-in object '" + name + "' (cup, ellipsoids, boxes, torus), and no such spec (.json) or mesh (.ply, .obj, .stl)");
+    }
+    return spec;
+}
+
+SyntheticSpec read_spec(const fs::path& file) {
+    using nlohmann::json;
+    SyntheticSpec spec;
+    try {
+        std::ifstream in(file);
+        if (!in) throw InputError(file.string() + ": cannot be opened");
+        const json j = json::parse(in);
+        const auto known = [&](const json& node, std::initializer_list<const char*> keys, const std::string& where) {
+            for (auto it = node.begin(); it != node.end(); ++it)
+                if (std::none_of(keys.begin(), keys.end(), [&](const char* k) { return it.key() == k; }))
+                    throw InputError(file.string() + ": " + where + "unknown field '" + it.key() + "'");
+        };
+        known(j, {"name", "builtin", "solids", "mesh", "rig", "seed"}, "");
+        if (j.contains("builtin")) spec = builtin_spec(j["builtin"]);
+        spec.name = j.value("name", file.stem().string());
+        spec.seed = j.value("seed", uint64_t{1});
+        if (j.contains("mesh")) spec.mesh = read_mesh(file.parent_path() / j["mesh"].get<std::string>());
+        static const std::pair<const char*, Solid::Kind> kinds[] = {
+            {"ellipsoid", Solid::Kind::Ellipsoid}, {"box", Solid::Kind::Box}, {"torus", Solid::Kind::Torus}, {"cup", Solid::Kind::Cup}};
+        const auto vec = [](const json& a) { return Vec3d(a.at(0), a.at(1), a.at(2)); };
+        for (const json& s : j.value("solids", json::array())) {
+            known(s, {"type", "size", "centre", "turn_deg"}, "solids: ");
+            Solid solid;
+            const std::string type = s.at("type");
+            const auto kind = std::find_if(std::begin(kinds), std::end(kinds), [&](const auto& k) { return type == k.first; });
+            if (kind == std::end(kinds)) throw InputError(file.string() + ": solids: type '" + type + "' is none of ellipsoid, box, torus, cup");
+            solid.kind = kind->second;
+            solid.size = vec(s.at("size"));
+            if (s.contains("centre")) solid.world_from_solid.translation = vec(s["centre"]);
+            if (s.contains("turn_deg")) {
+                const Vec3d r = vec(s["turn_deg"]) * kPi / 180;
+                solid.world_from_solid.rotation =
+                    (Eigen::AngleAxisd(r.z(), Vec3d::UnitZ()) * Eigen::AngleAxisd(r.y(), Vec3d::UnitY()) * Eigen::AngleAxisd(r.x(), Vec3d::UnitX())).toRotationMatrix();
+            }
+            spec.solids.push_back(solid);
+        }
+        if (j.contains("rig")) {
+            const json& r = j["rig"];
+            known(r, {"type", "views", "elevation_deg", "rings", "fov_deg", "distance", "fill", "orthographic", "width", "height", "pixel_aspect",
+                      "shake_angle_deg", "shake_elevation_deg", "shake_roll_deg", "shake_position", "shake_look_at"}, "rig: ");
+            Rig& rig = spec.rig;
+            const std::string type = r.value("type", "orbit");
+            if (type == "orbit") rig.kind = Rig::Kind::Orbit;
+            else if (type == "rings") rig.kind = Rig::Kind::Rings;
+            else if (type == "dome") rig.kind = Rig::Kind::Dome;
+            else throw InputError(file.string() + ": rig: type '" + type + "' is none of orbit, rings, dome");
+            rig.views = r.value("views", rig.views);
+            rig.elevation_deg = r.value("elevation_deg", rig.elevation_deg);
+            for (const json& ring : r.value("rings", json::array())) rig.rings.push_back({ring.at("views"), ring.at("elevation_deg")});
+            rig.fov_deg = r.value("fov_deg", rig.fov_deg);
+            rig.distance = r.value("distance", rig.distance);
+            rig.fill = r.value("fill", rig.fill);
+            rig.orthographic = r.value("orthographic", rig.orthographic);
+            rig.width_px = r.value("width", rig.width_px);
+            rig.height_px = r.value("height", rig.height_px);
+            rig.pixel_aspect = r.value("pixel_aspect", rig.pixel_aspect);
+            rig.shake_angle_deg = r.value("shake_angle_deg", 0.0);
+            rig.shake_elevation_deg = r.value("shake_elevation_deg", 0.0);
+            rig.shake_roll_deg = r.value("shake_roll_deg", 0.0);
+            rig.shake_position = r.value("shake_position", 0.0);
+            rig.shake_look_at = r.value("shake_look_at", 0.0);
+        }
+    } catch (const json::exception& e) {
+        throw InputError(file.string() + ": " + e.what());
+    }
+    return spec;
+}
+
+SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
+    const Rig& rig = spec.rig;
+    if (rig.width_px < 2 || rig.height_px < 2 || !(rig.fov_deg > 0 && rig.fov_deg < 170) || !(rig.pixel_aspect > 0) || !(rig.fill > 0))
+        throw UsageError("synth: image size must be at least 2 x 2, fov within 0..170 degrees, pixel aspect and fill > 0");
+    const std::vector<Direction> where = directions(rig);
+    if (where.empty()) throw UsageError("synth: zero views");
+    const Object object(spec);
+    const double half_fov = 0.5 * rig.fov_deg * kPi / 180;
+    const double distance = rig.distance > 0 ? rig.distance : object.radius() / std::sin(std::atan(rig.fill * std::tan(half_fov)));
+
+    Intrinsics k;
+    k.width_px = rig.width_px;
+    k.height_px = rig.height_px;
+    k.cx = 0.5 * rig.width_px;
+    k.cy = 0.5 * rig.height_px;
+    k.orthographic = rig.orthographic;
+    k.fy = rig.orthographic ? 0.5 * rig.height_px * rig.fill / object.radius() : 0.5 * rig.height_px / std::tan(half_fov);
+    k.fx = k.fy / rig.pixel_aspect;
+
+    SyntheticScene scene;
+    scene.truth = object.truth();
+    Dice dice(spec.seed);
+    const auto rad = [](double deg) { return deg * kPi / 180; };
+    for (size_t i = 0; i < where.size(); ++i) {
+        const auto place = [&](double azimuth, double elevation) {
+            return Vec3d(object.centre() + distance * Vec3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)));
+        };
+        View view;
+        view.name = "images/" + frame_name(i);
+        view.mask_path = "masks/" + frame_name(i);
+        view.camera = look_at(place(where[i].azimuth_rad, where[i].elevation_rad), object.centre(), 0, k);
+        scene.nominal.views.push_back(view);
+        const double azimuth = where[i].azimuth_rad + rad(rig.shake_angle_deg) * dice(), elevation = where[i].elevation_rad + rad(rig.shake_elevation_deg) * dice();
+        Vec3d moved, aim;
+        for (int a = 0; a < 3; ++a) {
+            moved[a] = rig.shake_position * distance * dice();
+            aim[a] = rig.shake_look_at * distance * dice();
+        }
+        view.camera = look_at(place(azimuth, elevation) + moved, object.centre() + aim, rad(rig.shake_roll_deg) * dice(), k);
+        scene.views.views.push_back(view);
+    }
+    scene.views.up = scene.nominal.up = "z";
+    scene.masks.resize(where.size());
+    if (spec.photos) scene.photos.resize(where.size());
+    progress.begin("synth", where.size());
+    tbb::parallel_for(size_t{0}, where.size(), [&](size_t i) {
+        const Camera& camera = scene.views.views[i].camera;
+        scene.masks[i].coverage = object.coverage(camera);
+        if (spec.photos) scene.photos[i] = photograph(object, camera, scene.masks[i].coverage);
+        progress.step();
+    });
+    return scene;
+}
+
+void write_scene(const SyntheticScene& scene, const fs::path& folder) {
+    make_folder(folder / "masks");
+    make_folder(folder / "images");
+    tbb::parallel_for(size_t{0}, scene.masks.size(), [&](size_t i) {
+        const auto write = [&](const fs::path& file, const Image8& image) {
+            const auto png = io::encode_png(image);
+            write_file(file, png.data(), png.size());
+        };
+        write(folder / scene.views.views[i].mask_path, scene.masks[i].coverage);
+        // Without photographs the silhouettes stand in for them.
+        write(folder / scene.views.views[i].name, scene.photos.empty() ? scene.masks[i].coverage : scene.photos[i]);
+    });
+    const auto cameras = [&](const Views& views, const char* name) {
+        Views named = views;
+        for (View& v : named.views) v.image_path = folder / v.name;
+        write_file(folder / name, cameras_json(named, folder));
+    };
+    cameras(scene.views, "transforms.json");
+    cameras(scene.nominal, "transforms_nominal.json");
+    write_mesh(folder / "truth.ply", scene.truth);
+}
+
+}  // namespace vdbcarve

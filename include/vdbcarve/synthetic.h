@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+// Synthetic shoots: photographs, exact soft masks, cameras and truth of an object whose shape is known.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "vdbcarve/image.h"
+#include "vdbcarve/progress.h"
+#include "vdbcarve/triangle_mesh.h"
+#include "vdbcarve/views.h"
+
+namespace vdbcarve {
+
+/// A solid in closed form, in its own frame.
+struct Solid {
+    enum class Kind {
+        Ellipsoid,  ///< semi-axes size[0..2]
+        Box,        ///< half edges size[0..2]
+        Torus,      ///< around z: size[0] ring radius, size[1] tube radius
+        Cup         ///< around z, open at the top: size[0] outer radius, size[1] half height, size[2] wall; with a handle along +x
+    };
+    Kind kind = Kind::Ellipsoid;
+    Vec3d size = Vec3d::Ones();
+    Rigid3 world_from_solid;
+
+    /// Negative inside, zero on the surface; its magnitude never exceeds the distance to the surface.
+    double value(const Vec3d& point_world) const;
+    /// Distance along a unit ray to the first surface point, or nothing.
+    std::optional<double> hit(const Camera::Ray& ray_world) const;
+    /// Radius of a ball around world_from_solid.translation that holds the solid.
+    double reach() const;
+};
+
+/// How the cameras stand. The object's middle is looked at, z is up.
+struct Rig {
+    enum class Kind { Orbit, Rings, Dome };
+    struct Ring {
+        int views;
+        double elevation_deg;
+    };
+    Kind kind = Kind::Orbit;
+    int views = 36;
+    double elevation_deg = 10;       ///< of an orbit
+    std::vector<Ring> rings;         ///< of rings
+    double fov_deg = 30;             ///< vertical
+    double distance = 0;             ///< from the object's middle, world units; 0: so that it fills the image
+    double fill = 0.8;               ///< share of the image height that the object's ball takes then
+    bool orthographic = false;
+    int width_px = 640, height_px = 480;
+    double pixel_aspect = 1;         ///< fy / fx
+    // An unsteady hand: the true cameras deviate, uniformly within plus or minus these, from the nominal ones.
+    double shake_angle_deg = 0, shake_elevation_deg = 0, shake_roll_deg = 0;
+    double shake_position = 0, shake_look_at = 0;  ///< share of the distance
+};
+
+struct SyntheticSpec {
+    std::string name = "object";
+    std::vector<Solid> solids;       ///< their union; empty when `mesh` is given
+    Mesh mesh;                       ///< a closed mesh instead
+    Rig rig;
+    uint64_t seed = 1;
+    bool photos = true;              ///< render photographs, not only masks
+};
+
+struct SyntheticScene {
+    Views views;                     ///< the true cameras
+    Views nominal;                   ///< what the photographer meant
+    std::vector<Mask> masks;
+    std::vector<Image8> photos;      ///< sRGB; empty without SyntheticSpec::photos
+    Mesh truth;
+};
+
+/// The built-in objects: "ellipsoids", "boxes", "torus", "cup". Throws UsageError for another name.
+SyntheticSpec builtin_spec(const std::string& name);
+
+/// Reads a JSON spec (data/ has examples). Throws InputError naming file and field.
+SyntheticSpec read_spec(const std::filesystem::path& file);
+
+/// Same spec and seed, same bytes.
+SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress);
+
+/// Writes images/, masks/, transforms.json (true cameras), transforms_nominal.json and truth.ply.
+void write_scene(const SyntheticScene& scene, const std::filesystem::path& folder);
+
+}  // namespace vdbcarve

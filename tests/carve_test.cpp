@@ -1,0 +1,358 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/carve.h"
+
+#include <openvdb/tools/Interpolation.h>
+#include <tbb/global_control.h>
+
+#include <cmath>
+
+#include "support/dense_oracle.h"
+#include "support/scenes.h"
+
+namespace vdbcarve::test {
+namespace {
+
+struct Case {
+    std::string name;
+    std::function<Shoot()> make;
+    std::function<void(CarveOptions&)> change;
+    int resolution = 48;
+};
+
+void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
+
+Shoot skewed() {
+    SyntheticSpec spec = small_spec("ellipsoids", 8);
+    spec.rig.pixel_aspect = 1.4;
+    return shoot(spec, [](SyntheticScene& s) {
+        // Skewed pixels: masks stay, so this is another object, but a legal one.
+        for (View& v : s.views.views) v.camera.intrinsics.skew = 9;
+    });
+}
+
+Shoot truncated() {
+    SyntheticSpec spec = small_spec("ellipsoids", 10);
+    spec.rig.fill = 1.5;
+    return shoot(spec);
+}
+
+Shoot ignoring() {
+    return shoot(small_spec("torus", 10), [](SyntheticScene& s) {
+        for (size_t i = 0; i < 7; ++i) {
+            Mask& m = s.masks[i];
+            m.ignore = Image8(m.coverage.width, m.coverage.height);
+            for (int y = 20; y < 60; ++y)
+                for (int x = 50; x < 90; ++x) m.ignore.at(x, y) = 255;
+        }
+    });
+}
+
+Shoot orthographic() {
+    SyntheticSpec spec = small_spec("boxes", 9);
+    spec.rig.orthographic = true;
+    return shoot(spec);
+}
+
+Shoot far_origin() {
+    return shoot(small_spec("ellipsoids", 8), [](SyntheticScene& s) {
+        const Vec3d shift(4.5e4, -3.2e4, 120);
+        for (View& v : s.views.views) v.camera.camera_from_world.translation -= v.camera.camera_from_world.rotation * shift;
+        for (auto& v : s.truth.vertices)
+            for (int a = 0; a < 3; ++a) v[static_cast<size_t>(a)] += static_cast<float>(shift[a]);
+    });
+}
+
+const std::vector<Case>& cases() {
+    static const std::vector<Case> all{
+        {"orbit", [] { return shoot(small_spec("ellipsoids", 12)); }, [](CarveOptions&) {}},
+        {"one_miss_allowed", [] { return shoot(small_spec("ellipsoids", 12)); }, [](CarveOptions& o) { o.max_misses = 1; }},
+        {"three_misses_allowed", [] { return shoot(small_spec("cup", 9)); }, [](CarveOptions& o) { o.max_misses = 3; }},
+        {"truncated_views", truncated, [](CarveOptions&) {}},
+        {"truncated_views_one_miss", truncated, [](CarveOptions& o) { o.max_misses = 1; o.min_seen = 0.8; }},
+        {"outside_is_background", truncated, [](CarveOptions& o) { o.outside = Outside::Background; }},
+        {"every_view_must_see", truncated, [](CarveOptions& o) { o.min_seen = 1.0; }},
+        {"ignored_regions", ignoring, [](CarveOptions& o) { o.min_seen = 0.7; }},
+        // The bounds reach past the cameras: nodes at the camera planes, behind them and around the centres.
+        {"camera_inside_the_bounds", [] { return shoot(small_spec("ellipsoids", 6)); }, [](CarveOptions& o) {
+             const Vec3d grow(3.2, 3.2, 0.3);
+             o.bounds_world = Box3d(o.bounds_world.min() - grow, o.bounds_world.max() + grow);
+             o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / 72;
+             o.min_seen = 0.3;
+         }},
+        {"camera_inside_the_bounds_background", [] { return shoot(small_spec("ellipsoids", 6)); }, [](CarveOptions& o) {
+             const Vec3d grow(3.2, 3.2, 0.3);
+             o.bounds_world = Box3d(o.bounds_world.min() - grow, o.bounds_world.max() + grow);
+             o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / 72;
+             o.outside = Outside::Background;
+             o.min_seen = 0;
+         }},
+        {"bounds_cut_the_object", [] { return shoot(small_spec("torus", 8)); }, [](CarveOptions& o) {
+             Vec3d hi = o.bounds_world.max();
+             hi.x() -= 0.45 * o.bounds_world.sizes().x();
+             o.bounds_world = Box3d(o.bounds_world.min(), hi);
+             o.lattice.origin_world = Vec3d(0.1234, -0.777, 3.1);
+         }},
+        {"non_square_pixels_and_grid", skewed, [](CarveOptions& o) { o.min_seen = 0.2; }},
+        {"orthographic", orthographic, [](CarveOptions&) {}},
+        {"far_world_origin", far_origin, [](CarveOptions&) {}},
+        {"wide_band", [] { return shoot(small_spec("torus", 7)); }, [](CarveOptions& o) { o.half_width_vox = 6; }},
+        {"coarser_voxels_than_pixels", [] { return shoot(small_spec("ellipsoids", 8, 512, 384)); }, [](CarveOptions&) {}, 24},
+        {"finer_voxels_than_pixels", [] { return shoot(small_spec("ellipsoids", 5, 48, 36)); }, [](CarveOptions&) {}, 100},
+    };
+    return all;
+}
+
+class Hierarchical : public testing::TestWithParam<Case> {
+  protected:
+    static void SetUpTestSuite() { openvdb::initialize(); }
+};
+
+TEST_P(Hierarchical, HullEqualsDenseBitForBit) {
+    const Shoot s = GetParam().make();
+    CarveOptions o = options_for(s, GetParam().resolution);
+    GetParam().change(o);
+    Progress quiet;
+    const CarveResult result = carve(s.inputs, o, quiet);
+    EXPECT_EQ(result.backend_used, "cpu");
+    const DenseVolume dense = dense_carve(s.inputs, o, o.half_width_vox + 9);
+    const auto band = static_cast<float>(o.half_width_vox * o.lattice.voxel_size);
+    const auto accessor = result.hull->getConstAccessor();
+    size_t differing = 0, band_voxels = 0, inside = 0, all = 0;
+    for (int i = dense.box.min[0]; i < dense.box.max[0]; ++i)
+        for (int j = dense.box.min[1]; j < dense.box.max[1]; ++j)
+            for (int k = dense.box.min[2]; k < dense.box.max[2]; ++k) {
+                const openvdb::Coord c(i, j, k);
+                const float expected = dense.at(i, j, k), found = accessor.getValue(c);
+                const bool active = std::fabs(expected) < band;
+                differing += found != expected || accessor.isValueOn(c) != active;
+                band_voxels += active;
+                inside += expected < 0;
+                ++all;
+            }
+    EXPECT_EQ(differing, 0u) << "of " << all;
+    EXPECT_GT(band_voxels, 500u);
+    EXPECT_GT(inside, 100u);
+    EXPECT_EQ(result.hull->activeVoxelCount(), band_voxels);
+    EXPECT_EQ(result.hull->getGridClass(), openvdb::GRID_LEVEL_SET);
+}
+
+TEST_P(Hierarchical, OccupancyEqualsDense) {
+    const Shoot s = GetParam().make();
+    CarveOptions o = options_for(s, GetParam().resolution);
+    GetParam().change(o);
+    o.occupancy = true;
+    Progress quiet;
+    const CarveResult result = carve(s.inputs, o, quiet);
+    const DenseVolume dense = dense_carve(s.inputs, o, 9);
+    const auto accessor = result.occupancy->getConstAccessor();
+    size_t differing = 0, inside = 0;
+    for (int i = dense.box.min[0]; i < dense.box.max[0]; ++i)
+        for (int j = dense.box.min[1]; j < dense.box.max[1]; ++j)
+            for (int k = dense.box.min[2]; k < dense.box.max[2]; ++k) {
+                differing += accessor.isValueOn(openvdb::Coord(i, j, k)) != (dense.at(i, j, k) != 0);
+                inside += dense.at(i, j, k) != 0;
+            }
+    EXPECT_EQ(differing, 0u);
+    EXPECT_GT(inside, 100u);
+    EXPECT_EQ(result.occupancy->activeVoxelCount(), inside);
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, Hierarchical, testing::ValuesIn(cases()), [](const auto& info) { return info.param.name; });
+
+void expect_same(const openvdb::FloatGrid& a, const openvdb::FloatGrid& b) {
+    EXPECT_TRUE(a.tree().hasSameTopology(b.tree()));
+    EXPECT_EQ(a.tree().leafCount(), b.tree().leafCount());
+    size_t differing = 0;
+    auto other = b.getConstAccessor();
+    for (auto it = a.cbeginValueAll(); it; ++it) differing += *it != other.getValue(it.getCoord());
+    EXPECT_EQ(differing, 0u);
+}
+
+TEST(Carve, BricksMergeIntoTheWhole) {
+    openvdb::initialize();
+    const Shoot s = shoot(small_spec("ellipsoids", 8));
+    CarveOptions o = options_for(s, 80);
+    Progress quiet;
+    const auto whole = carve(s.inputs, o, quiet).hull;
+    // Cuts through the object, at multiples of 8 that are no multiples of any larger node.
+    const int cuts[3][4] = {{-104, -8, 8, 104}, {-104, -24, 16, 104}, {-104, 0, 24, 104}};
+    std::vector<openvdb::FloatGrid::Ptr> bricks;
+    for (int a = 0; a < 3; ++a)
+        for (int b = 0; b < 3; ++b)
+            for (int c = 0; c < 3; ++c) {
+                o.brick = IndexBox{{cuts[0][a], cuts[1][b], cuts[2][c]}, {cuts[0][a + 1], cuts[1][b + 1], cuts[2][c + 1]}};
+                bricks.push_back(carve(s.inputs, o, quiet).hull);
+            }
+    expect_same(*whole, *merge_bricks(bricks));
+}
+
+TEST(Carve, SameBitsForAnyNumberOfThreads) {
+    openvdb::initialize();
+    const Shoot s = shoot(small_spec("cup", 8));
+    const CarveOptions o = options_for(s, 64);
+    Progress quiet;
+    const auto many = carve(s.inputs, o, quiet).hull;
+    const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+    expect_same(*many, *carve(s.inputs, o, quiet).hull);
+}
+
+TEST(Carve, MoreThanAWordOfViews) {
+    openvdb::initialize();
+    const Shoot s = shoot(small_spec("ellipsoids", 150, 64, 48));
+    const CarveOptions o = options_for(s, 32);
+    Progress quiet;
+    const auto hull = carve(s.inputs, o, quiet).hull;
+    const DenseVolume dense = dense_carve(s.inputs, o, 0);
+    size_t differing = 0;
+    for (int i = dense.box.min[0]; i < dense.box.max[0]; ++i)
+        for (int j = dense.box.min[1]; j < dense.box.max[1]; ++j)
+            for (int k = dense.box.min[2]; k < dense.box.max[2]; ++k) differing += hull->tree().getValue(openvdb::Coord(i, j, k)) != dense.at(i, j, k);
+    EXPECT_EQ(differing, 0u);
+}
+
+// The hull of a ball is the intersection of the cones that touch it: distances have a closed form.
+TEST(Carve, HullOfABallIsTheIntersectionOfItsCones) {
+    openvdb::initialize();
+    SyntheticSpec spec;
+    Solid ball;
+    ball.size = Vec3d::Constant(0.5);
+    ball.world_from_solid.translation = Vec3d(0.2, -0.1, 0.3);
+    spec.solids = {ball};
+    spec.rig.views = 14;
+    spec.rig.elevation_deg = 20;
+    spec.rig.width_px = 400;
+    spec.rig.height_px = 300;
+    const Shoot s = shoot(spec);
+    const CarveOptions o = options_for(s, 90, 0.2);
+    Progress quiet;
+    const auto hull = carve(s.inputs, o, quiet).hull;
+    const Vec3d centre = ball.world_from_solid.translation;
+    double sum2 = 0, worst = 0;
+    size_t count = 0, wrong_sign = 0;
+    for (auto it = hull->cbeginValueOn(); it; ++it) {
+        const openvdb::Coord c = it.getCoord();
+        const Vec3d x = o.lattice.world_from_index(Vec3d(c.x(), c.y(), c.z()));
+        double exact = -1e9;
+        for (const CarveInput& in : s.inputs) {
+            const Vec3d eye = in.camera.centre_world(), to_x = x - eye, axis = centre - eye;
+            const double half_angle = std::asin(0.5 / axis.norm());
+            const double angle = std::atan2(to_x.cross(axis).norm(), to_x.dot(axis));
+            exact = std::max(exact, to_x.norm() * std::sin(angle - half_angle));
+        }
+        if (std::fabs(exact) > 1.5 * o.lattice.voxel_size) continue;
+        const double error = (*it - exact) / o.lattice.voxel_size;
+        sum2 += error * error;
+        worst = std::max(worst, std::fabs(error));
+        wrong_sign += (*it < 0) != (exact < 0) && std::fabs(exact) > 0.05 * o.lattice.voxel_size;
+        ++count;
+    }
+    ASSERT_GT(count, 20000u);
+    // A voxel is about 1.8 px here; contours are known to 0.05 px.
+    EXPECT_LT(std::sqrt(sum2 / static_cast<double>(count)), 0.03);
+    EXPECT_LT(worst, 0.25);
+    EXPECT_EQ(wrong_sign, 0u);
+}
+
+TEST(Carve, ObjectStaysInsideItsHull) {
+    openvdb::initialize();
+    for (const char* name : {"ellipsoids", "cup", "boxes", "torus"}) {
+        const Shoot s = shoot(small_spec(name, 16, 320, 240));
+        const CarveOptions o = options_for(s, 96);
+        Progress quiet;
+        const auto hull = carve(s.inputs, o, quiet).hull;
+        openvdb::tools::GridSampler<openvdb::FloatGrid, openvdb::tools::BoxSampler> sample(*hull);
+        size_t outside = 0;
+        for (const auto& v : s.scene.truth.vertices)
+            outside += sample.wsSample(openvdb::Vec3d(v[0], v[1], v[2])) > 0.35 * o.lattice.voxel_size;
+        EXPECT_LT(static_cast<double>(outside), 0.002 * static_cast<double>(s.scene.truth.vertices.size())) << name;
+    }
+}
+
+TEST(Carve, BehindTheCameraIsOutside) {
+    openvdb::initialize();
+    const Shoot s = shoot(small_spec("ellipsoids", 6));
+    CarveOptions o = options_for(s, 24);
+    const Vec3d eye = s.inputs[0].camera.centre_world(), away = -s.inputs[0].camera.forward_world();
+    o.bounds_world = Box3d(eye + 0.5 * away - Vec3d::Constant(0.2), eye + 0.5 * away + Vec3d::Constant(0.2));
+    o.lattice.voxel_size = 0.4 / 24;
+    o.min_seen = 0;
+    Progress quiet;
+    const std::string message = error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet); });
+    EXPECT_NE(message.find("hull is empty"), std::string::npos) << message;
+}
+
+TEST(Carve, BoundsWhereNoCameraLooksAreAUsageError) {
+    const Shoot s = shoot(small_spec("ellipsoids", 6));
+    CarveOptions o = options_for(s, 24);
+    o.bounds_world.translate(Vec3d(0, 0, 50));
+    Progress quiet;
+    const std::string message = error_of(ExitCode::Usage, [&] { carve(s.inputs, o, quiet); });
+    EXPECT_NE(message.find("--bounds"), std::string::npos) << message;
+}
+
+TEST(Carve, ADeadHullNamesTheViewThatKilledIt) {
+    openvdb::initialize();
+    const Shoot s = shoot(small_spec("ellipsoids", 8), [](SyntheticScene& scene) {
+        Image8& mask = scene.masks[3].coverage;  // the object at the wrong end of the picture
+        mask = Image8(mask.width, mask.height);
+        for (int y = 0; y < 6; ++y)
+            for (int x = 0; x < 6; ++x) mask.at(x, y) = 255;
+    });
+    Progress quiet;
+    const std::string message = error_of(ExitCode::Contradiction, [&] { carve(s.inputs, options_for(s, 32), quiet); });
+    EXPECT_NE(message.find(s.inputs[3].name), std::string::npos) << message;
+    EXPECT_EQ(message.find(s.inputs[4].name), std::string::npos) << message;
+    EXPECT_NE(message.find("--max-misses 1"), std::string::npos) << message;
+    CarveOptions forgiving = options_for(s, 32);
+    forgiving.max_misses = 1;
+    EXPECT_GT(carve(s.inputs, forgiving, quiet).hull->activeVoxelCount(), 1000u);
+}
+
+TEST(Carve, BadOptionsAreAllNamed) {
+    const Shoot s = shoot(small_spec("torus", 3));
+    CarveOptions o = options_for(s, 16);
+    o.max_misses = -1;
+    o.min_seen = 2;
+    o.half_width_vox = 1;
+    Progress quiet;
+    const std::string message = error_of(ExitCode::Usage, [&] { carve(s.inputs, o, quiet); });
+    for (const char* part : {"max-misses is -1", "min-seen is 2", "half-width is 1"}) EXPECT_NE(message.find(part), std::string::npos) << message;
+}
+
+TEST(Carve, CancellingStops) {
+    const Shoot s = shoot(small_spec("torus", 3));
+    Progress progress;
+    progress.cancel();
+    EXPECT_THROW(carve(s.inputs, options_for(s, 64), progress), Interrupted);
+}
+
+TEST(AutomaticBounds, HoldTheHullClosely) {
+    openvdb::initialize();
+    for (const char* name : {"ellipsoids", "cup", "torus"}) {
+        const Shoot s = shoot(small_spec(name, 12));
+        CarveOptions o;
+        Progress quiet;
+        const Box3d box = automatic_bounds(s.inputs, o, quiet);
+        // Carve a far larger box: nothing of the hull lies outside the automatic one.
+        const Vec3d pad = 0.6 * box.sizes();
+        o.bounds_world = Box3d(box.min() - pad, box.max() + pad);
+        o.lattice.voxel_size = box.sizes().maxCoeff() / 100;
+        const CarveResult wide = carve(s.inputs, o, quiet);
+        Box3d hull;
+        for (auto it = wide.hull->cbeginValueOn(); it; ++it)
+            if (*it <= 0) hull.extend(o.lattice.world_from_index(Vec3d(it.getCoord().x(), it.getCoord().y(), it.getCoord().z())));
+        EXPECT_TRUE(box.contains(hull)) << name;
+        EXPECT_LT((box.sizes() - hull.sizes()).maxCoeff(), 0.06 * hull.sizes().maxCoeff()) << name;
+        EXPECT_EQ(wide.statistics.clipped_share, 0) << name;
+    }
+}
+
+TEST(AutomaticBounds, ParallelViewsDoNotDetermineThem) {
+    const Shoot s = shoot(small_spec("ellipsoids", 1));
+    CarveOptions o;
+    Progress quiet;
+    error_of(ExitCode::Undetermined, [&] { automatic_bounds(s.inputs, o, quiet); });
+}
+
+}  // namespace
+}  // namespace vdbcarve::test
