@@ -3,6 +3,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "vdbcarve/carve.h"
 
@@ -26,17 +27,39 @@ double median(std::vector<double> v) {
     return *mid;
 }
 
+/// The (max_misses + 1)-th largest distance to the silhouette cones, frames left out of account.
+float beyond_frames(const std::vector<kernel::CarveView>& views, const openvdb::Coord& c, int max_misses, float near_depth, float band) {
+    std::vector<float> values;
+    for (const kernel::CarveView& view : views) {
+        const kernel::Vec3 p = kernel::leaf_to_camera(view, c.x(), c.y(), c.z()).origin;
+        if (view.orthographic || p.z > near_depth) values.push_back(kernel::silhouette_value(view, kernel::project(view, p), p.z, band));
+    }
+    const auto rank = static_cast<size_t>(max_misses);
+    if (values.size() <= rank) return -band;
+    std::nth_element(values.begin(), values.begin() + static_cast<long>(rank), values.end(), std::greater<>());
+    return values[rank];
+}
+
 /// Box of the voxels that may hold a piece of the hull, grown by half a voxel. A point of the hull is at most
 /// sqrt(3)/2 voxel from a voxel centre, and there v, a lower bound of the distance, is below one voxel.
-Box3d box_of_hull(const openvdb::FloatGrid& hull, const Lattice& lattice) {
+/// Where the views' frames end together, "seen as background" and "hardly seen" meet and v comes near zero
+/// without any hull; silhouettes continued beyond the frames tell such places apart.
+Box3d box_of_hull(const openvdb::FloatGrid& hull, const std::vector<CarveInput>& inputs, const CarveOptions& options) {
+    std::vector<kernel::CarveView> views;
+    for (const CarveInput& input : inputs) views.push_back(make_carve_view(input, options));
+    const auto one = static_cast<float>(options.lattice.voxel_size);
+    const float near_depth = kernel::kNearPlane_vox * one, band = hull.background();
     openvdb::CoordBBox found;
-    const auto one = static_cast<float>(lattice.voxel_size);
-    for (auto it = hull.cbeginValueOn(); it; ++it)
-        if (*it < one) found.expand(it.getCoord());
+    for (auto it = hull.cbeginValueOn(); it; ++it) {
+        const openvdb::Coord c = it.getCoord();
+        if (*it >= one || (!found.empty() && found.isInside(c))) continue;
+        if (*it >= 0 && beyond_frames(views, c, options.max_misses, near_depth, band) >= one) continue;
+        found.expand(c);
+    }
     Box3d box;
     if (found.empty()) return box;
     const auto corner = [&](const openvdb::Coord& c, double shift) {
-        return lattice.world_from_index(Vec3d(c.x() + shift, c.y() + shift, c.z() + shift));
+        return options.lattice.world_from_index(Vec3d(c.x() + shift, c.y() + shift, c.z() + shift));
     };
     box.extend(corner(found.min(), -0.5));
     box.extend(corner(found.max(), 0.5));
@@ -79,6 +102,7 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
     options.occupancy = false;
     options.brick.reset();
     options.half_width_vox = 3;
+    options.allow_empty = true;  // at coarse voxels a thin object may fall between them
     const auto carve_in = [&](const Box3d& b, int side_vox) {
         options.bounds_world = b;
         options.lattice.voxel_size = b.sizes().maxCoeff() / side_vox;
@@ -91,9 +115,13 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
     constexpr int kGrowths = 6;
     for (int growth = 0;; ++growth) {
         const CarveResult coarse = carve_in(box, 64);
-        const Box3d hull = box_of_hull(*coarse.hull, options.lattice);
+        const Box3d hull = box_of_hull(*coarse.hull, inputs, options);
+        if (hull.isEmpty()) {
+            options.allow_empty = false;
+            carve_in(box, 64);  // says why
+            throw ContradictionError("the silhouettes leave no hull");
+        }
         const double margin = 1.5 * options.lattice.voxel_size;
-        Box3d next;
         bool free = true;
         for (int a = 0; a < 3; ++a) {
             if (hull.min()[a] < box.min()[a] + margin || hull.max()[a] > box.max()[a] - margin) free = false;
@@ -120,7 +148,7 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
     for (const int side_vox : {96, 160}) {
         const Vec3d pad = Vec3d::Constant(0.02 * box.sizes().maxCoeff());
         const CarveResult finer = carve_in(Box3d(box.min() - pad, box.max() + pad), side_vox);
-        const Box3d hull = box_of_hull(*finer.hull, options.lattice);
+        const Box3d hull = box_of_hull(*finer.hull, inputs, options);
         if (!hull.isEmpty()) box = hull;
     }
     const Vec3d pad = Vec3d::Constant(0.005 * box.sizes().maxCoeff());

@@ -72,7 +72,7 @@ struct Found {
     std::vector<std::unique_ptr<Leaf>> leaves;
     std::vector<std::unique_ptr<MaskLeaf>> mask_leaves;
     std::vector<std::pair<Coord, int>> inside;  // whole nodes (origin, size), for occupancy
-    size_t node_tests = 0, voxel_lookups = 0, surface = 0, capped = 0;
+    size_t node_tests = 0, voxel_lookups = 0, surface = 0, capped = 0, negative = 0;
 };
 
 struct NodeState {
@@ -240,6 +240,7 @@ class Carver {
                         v = kernel::max_f(v, box);
                     }
                     data[at] = v;
+                    found.negative += v < 0;
                     if (v > -band_f_ && v < band_f_) {
                         leaf->setValueOn(static_cast<openvdb::Index>(at));
                         any = true;
@@ -431,13 +432,14 @@ CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& opt
     });
 
     CarveResult result;
-    size_t surface = 0, capped = 0;
+    size_t surface = 0, capped = 0, negative = 0;
     for (Found& f : found) {
         result.statistics.node_tests += f.node_tests;
         result.statistics.voxel_lookups += f.voxel_lookups;
         result.statistics.leaves += f.leaves.size() + f.mask_leaves.size();
         surface += f.surface;
         capped += f.capped;
+        negative += f.negative;
     }
     result.statistics.clipped_share = surface ? static_cast<double>(capped) / static_cast<double>(surface) : 0;
 
@@ -458,14 +460,15 @@ CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& opt
             }
             any |= !f.inside.empty();
         }
-        if (result.statistics.leaves == 0 && !any && !options.brick) explain_empty(inputs, options);
+        if (result.statistics.leaves == 0 && !any && !options.brick && !options.allow_empty) explain_empty(inputs, options);
         openvdb::tools::prune(tree);
         result.statistics.active_voxels = tree.activeVoxelCount();
         result.statistics.bytes = tree.memUsage();
         return result;
     }
 
-    if (result.statistics.leaves == 0 && !options.brick) explain_empty(inputs, options);
+    // Leaves without a negative voxel hold the outer band of a surface that no voxel is inside of.
+    if (negative == 0 && !options.brick && !options.allow_empty) explain_empty(inputs, options);
     result.hull = openvdb::FloatGrid::create(carver.band());
     result.hull->setTransform(options.lattice.transform());
     result.hull->setName("hull");

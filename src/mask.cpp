@@ -4,8 +4,8 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <mutex>
 #include <opencv2/imgproc.hpp>
 
 #include "io_image.h"
@@ -34,6 +34,50 @@ Image8 channel_of(ImageView<uint8_t> photo, MaskChannel channel) {
 }
 
 cv::Mat wrap(Image8& image) { return {image.height, image.width, CV_8UC1, image.data.data()}; }
+
+using Histogram = std::array<uint64_t, 256>;
+
+Histogram histogram_of(const Image8& channel) {
+    Histogram h{};
+    for (uint8_t v : channel.data) ++h[v];
+    return h;
+}
+
+/// Otsu's threshold, the first level that is object: the split with the largest variance between classes,
+/// of the values or of their square roots.
+double otsu_level(const Histogram& histogram, bool of_root) {
+    const auto x = [&](size_t v) { return of_root ? std::sqrt(255.0 * static_cast<double>(v)) : static_cast<double>(v); };
+    double total = 0, sum = 0;
+    for (size_t v = 0; v < 256; ++v) {
+        total += static_cast<double>(histogram[v]);
+        sum += static_cast<double>(histogram[v]) * x(v);
+    }
+    double below = 0, below_sum = 0, best = -1, level = 128;
+    for (size_t v = 0; v < 255; ++v) {
+        below += static_cast<double>(histogram[v]);
+        below_sum += static_cast<double>(histogram[v]) * x(v);
+        if (below == 0 || below == total) continue;
+        const double apart = below_sum / below - (sum - below_sum) / (total - below);
+        const double between = below * (total - below) * apart * apart;
+        if (between > best) {
+            best = between;
+            level = static_cast<double>(v + 1);
+        }
+    }
+    return level;
+}
+
+/// One level for all photographs: the same lamp and background stood behind them.
+double common_level(const Views& views, const std::vector<fs::path>& edited, MaskChannel channel) {
+    std::vector<Histogram> histograms(views.views.size());
+    tbb::parallel_for(size_t{0}, histograms.size(), [&](size_t i) {
+        if (i >= edited.size() || edited[i].empty()) histograms[i] = histogram_of(channel_of(io::read_image8(views.views[i].image_path), channel));
+    });
+    Histogram sum{};
+    for (const Histogram& h : histograms)
+        for (size_t v = 0; v < 256; ++v) sum[v] += h[v];
+    return otsu_level(sum, true);
+}
 
 /// 8-bit coverage that crosses 1/2 exactly between `level - 1` and `level`, with one slope on both sides.
 Image8 soft_step(const Image8& channel, double level, bool invert) {
@@ -83,6 +127,7 @@ Image8 grey_of(const Image8& file, const fs::path& path) {
     Image8 out(file.width, file.height);
     const auto channels = static_cast<size_t>(file.channels);
     bool alpha_varies = false;
+    size_t coloured = 0;
     if (channels == 4)
         for (size_t i = 0; i < out.data.size(); ++i) alpha_varies |= file.data[i * 4 + 3] != file.data[3];
     for (size_t i = 0; i < out.data.size(); ++i) {
@@ -91,10 +136,12 @@ Image8 grey_of(const Image8& file, const fs::path& path) {
             out.data[i] = p[3];
             continue;
         }
-        if (std::abs(p[0] - p[1]) > 8 || std::abs(p[1] - p[2]) > 8)
-            throw InputError(path.string() + ": is coloured; a mask is grey (white = object). Is it a photograph, or a map of class colours?");
-        out.data[i] = p[1];
+        coloured += std::abs(p[0] - p[1]) > 8 || std::abs(p[1] - p[2]) > 8;
+        out.data[i] = std::max(std::min(p[0], p[1]), std::min(std::max(p[0], p[1]), p[2]));  // the middle one
     }
+    // A stray pixel is a writer's slip; more is another kind of picture.
+    if (static_cast<double>(coloured) > 0.005 * static_cast<double>(out.data.size()))
+        throw InputError(path.string() + ": is coloured; a mask is grey (white = object). Is it a photograph, or a map of class colours?");
     return out;
 }
 
@@ -280,10 +327,7 @@ std::string some_of(const std::vector<std::string>& names) {
 Mask threshold_mask(ImageView<uint8_t> photo, const ThresholdOptions& options) {
     Image8 channel = channel_of(photo, options.channel);
     double level = options.level;
-    if (level < 0) {
-        cv::Mat unused;
-        level = cv::threshold(wrap(channel), unused, 0, 255, cv::THRESH_BINARY | cv::THRESH_OTSU) + 1;
-    }
+    if (level < 0) level = otsu_level(histogram_of(channel), level == ThresholdOptions::kAuto);
     Mask out;
     out.coverage = soft_step(channel, level, options.invert);
     cv::Mat binary = wrap(out.coverage) >= 128;
@@ -310,12 +354,17 @@ std::vector<fs::path> mask_files(const View& view, const fs::path& scene, const 
     return out;
 }
 
-Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& options, const std::vector<fs::path>& edited, Progress& progress) {
-    if (!options.masks.empty() && !fs::is_directory(in_scene(options.masks, scene)))
-        throw InputError(options.masks.string() + ": --masks is not a folder");
-    if (!options.ignore_masks.empty() && !fs::is_directory(in_scene(options.ignore_masks, scene)))
-        throw InputError(options.ignore_masks.string() + ": --ignore-masks is not a folder");
+Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& given, const std::vector<fs::path>& edited, Progress& progress) {
+    if (!given.masks.empty() && !fs::is_directory(in_scene(given.masks, scene)))
+        throw InputError(given.masks.string() + ": --masks is not a folder");
+    if (!given.ignore_masks.empty() && !fs::is_directory(in_scene(given.ignore_masks, scene)))
+        throw InputError(given.ignore_masks.string() + ": --ignore-masks is not a folder");
     const size_t n = views.views.size();
+    MaskOptions options = given;
+    if (options.method == MaskMethod::Threshold && options.threshold.level == ThresholdOptions::kAuto) {
+        options.threshold.level = common_level(views, edited, options.threshold.channel);
+        progress.note("threshold " + std::to_string(std::lround(options.threshold.level)) + " of 255, found from all photographs together");
+    }
     std::vector<Made> made(n);
     progress.begin("mask", n);
     tbb::parallel_for(size_t{0}, n, [&](size_t i) {

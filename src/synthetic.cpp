@@ -28,13 +28,16 @@ double box_value(const Vec3d& p, const Vec3d& half) {
     return q.cwiseMax(0.0).norm() + std::min(q.maxCoeff(), 0.0);
 }
 
+/// std::hypot guards against overflow at ten times the cost.
+double length(double x, double y) { return std::sqrt(x * x + y * y); }
+
 double torus_value(const Vec3d& p, double ring, double tube) {
-    return std::hypot(std::hypot(p.x(), p.y()) - ring, p.z()) - tube;
+    return length(length(p.x(), p.y()) - ring, p.z()) - tube;
 }
 
 double cylinder_value(const Vec3d& p, double radius, double z_low, double z_high) {
-    const double across = std::hypot(p.x(), p.y()) - radius, along = std::max(z_low - p.z(), p.z() - z_high);
-    return std::hypot(std::max(across, 0.0), std::max(along, 0.0)) + std::min(std::max(across, along), 0.0);
+    const double across = length(p.x(), p.y()) - radius, along = std::max(z_low - p.z(), p.z() - z_high);
+    return length(std::max(across, 0.0), std::max(along, 0.0)) + std::min(std::max(across, along), 0.0);
 }
 
 double cup_value(const Vec3d& p, double radius, double half_height, double wall) {
@@ -232,40 +235,47 @@ class Object {
     double radius() const { return radius_; }
     const Mesh& truth() const { return spec_.solids.empty() ? spec_.mesh : truth_; }
 
-    Image8 coverage(const Camera& camera) const {
+    using Surface = std::vector<std::optional<SurfacePoint>>;
+
+    /// Share of each pixel that the object covers. `surface` is what surface() says of the same camera.
+    Image8 coverage(const Camera& camera, const Surface& surface) const {
         if (spec_.solids.empty()) return coverage_of(spec_.mesh, camera, 16);
         // Traced rays cost a hundred times a closed form; 8 x 8 of them still tell 1/64 of a pixel.
         const bool closed_form = std::all_of(spec_.solids.begin(), spec_.solids.end(),
                                              [](const Solid& s) { return s.kind == Solid::Kind::Ellipsoid || s.kind == Solid::Kind::Box; });
         const int samples = closed_form ? 16 : 8;
-        const Intrinsics& k = camera.intrinsics;
-        const auto at = [&](double u, double v) { return hit(camera.ray({u, v})).has_value(); };
-        // Pixels whose corners and centre agree are whole; the rest are counted in samples.
-        const int width = k.width_px, height = k.height_px;
-        std::vector<bool> corner(static_cast<size_t>(width + 1) * static_cast<size_t>(height + 1));
-        for (int y = 0; y <= height; ++y)
-            for (int x = 0; x <= width; ++x) corner[static_cast<size_t>(y) * static_cast<size_t>(width + 1) + static_cast<size_t>(x)] = at(x, y);
+        const int width = camera.intrinsics.width_px, height = camera.intrinsics.height_px;
+        const auto centre_hits = [&](int x, int y) {
+            x = std::clamp(x, 0, width - 1);
+            y = std::clamp(y, 0, height - 1);
+            return surface[static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x)].has_value();
+        };
         Image8 out(width, height);
         for (int y = 0; y < height; ++y)
             for (int x = 0; x < width; ++x) {
-                const auto c = [&](int i, int j) { return corner[static_cast<size_t>(y + j) * static_cast<size_t>(width + 1) + static_cast<size_t>(x + i)]; };
-                const bool first = c(0, 0);
-                if (first == c(1, 0) && first == c(0, 1) && first == c(1, 1) && first == at(x + 0.5, y + 0.5)) {
-                    out.at(x, y) = first ? 255 : 0;
+                // Pixels that agree with all their neighbours are whole (contours curve over many pixels);
+                // the border of the image has no neighbours beyond and is always counted.
+                const bool here = centre_hits(x, y);
+                bool whole = x > 0 && y > 0 && x < width - 1 && y < height - 1;
+                for (int j = -1; j <= 1; ++j)
+                    for (int i = -1; i <= 1; ++i) whole = whole && centre_hits(x + i, y + j) == here;
+                if (whole) {
+                    out.at(x, y) = here ? 255 : 0;
                     continue;
                 }
                 int count = 0;
                 for (int j = 0; j < samples; ++j)
-                    for (int i = 0; i < samples; ++i) count += at(x + (i + 0.5) / samples, y + (j + 0.5) / samples);
+                    for (int i = 0; i < samples; ++i) count += hit(camera.ray({x + (i + 0.5) / samples, y + (j + 0.5) / samples})).has_value();
                 out.at(x, y) = static_cast<uint8_t>((count * 255 + samples * samples / 2) / (samples * samples));
             }
         return out;
     }
 
     /// What each pixel centre sees; nothing where it sees past the object.
-    std::vector<std::optional<SurfacePoint>> surface(const Camera& camera) const {
+    /// Normals are left out unless asked for: they cost six more evaluations.
+    Surface surface(const Camera& camera, bool with_normals) const {
         const Intrinsics& k = camera.intrinsics;
-        std::vector<std::optional<SurfacePoint>> out(static_cast<size_t>(k.width_px) * static_cast<size_t>(k.height_px));
+        Surface out(static_cast<size_t>(k.width_px) * static_cast<size_t>(k.height_px));
         const Raster raster = spec_.solids.empty() ? rasterize(spec_.mesh, camera) : Raster{};
         for (int y = 0; y < k.height_px; ++y)
             for (int x = 0; x < k.width_px; ++x) {
@@ -274,7 +284,7 @@ class Object {
                 if (!spec_.solids.empty()) {
                     if (const auto t = hit(ray)) {
                         const Vec3d p = ray.origin + *t * ray.direction;
-                        point = SurfacePoint{p, gradient(p)};
+                        point = SurfacePoint{p, with_normals ? gradient(p) : Vec3d::Zero().eval()};
                     }
                 } else if (const uint32_t face = raster.face.at(x, y); face != UINT32_MAX) {
                     Vec3d v[3];
@@ -350,9 +360,8 @@ class Object {
     Mesh truth_;
 };
 
-Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage) {
+Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface& surface) {
     const Intrinsics& k = camera.intrinsics;
-    const auto surface = object.surface(camera);
     Image8 out(k.width_px, k.height_px, 3);
     const Vec3d key = Vec3d(0.5, -0.6, 0.9).normalized(), fill = Vec3d(-0.8, 0.3, 0.2).normalized();
     for (int y = 0; y < k.height_px; ++y)
@@ -533,8 +542,10 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     progress.begin("synth", where.size());
     tbb::parallel_for(size_t{0}, where.size(), [&](size_t i) {
         const Camera& camera = scene.views.views[i].camera;
-        scene.masks[i].coverage = object.coverage(camera);
-        if (spec.photos) scene.photos[i] = photograph(object, camera, scene.masks[i].coverage);
+        // A mesh's masks come from its own rasteriser.
+        const Object::Surface surface = spec.photos || !spec.solids.empty() ? object.surface(camera, spec.photos) : Object::Surface();
+        scene.masks[i].coverage = object.coverage(camera, surface);
+        if (spec.photos) scene.photos[i] = photograph(object, camera, scene.masks[i].coverage, surface);
         progress.step();
     });
     return scene;

@@ -157,7 +157,7 @@ TEST_P(Hierarchical, OccupancyEqualsDense) {
     EXPECT_EQ(result.occupancy->activeVoxelCount(), inside);
 }
 
-INSTANTIATE_TEST_SUITE_P(Scenes, Hierarchical, testing::ValuesIn(cases()), [](const auto& info) { return info.param.name; });
+INSTANTIATE_TEST_SUITE_P(Scenes, Hierarchical, testing::ValuesIn(cases()), [](const auto& instance) { return instance.param.name; });
 
 void expect_same(const openvdb::FloatGrid& a, const openvdb::FloatGrid& b) {
     EXPECT_TRUE(a.tree().hasSameTopology(b.tree()));

@@ -13,7 +13,7 @@ namespace {
 
 struct Raw {
     ReconstructOptions options;
-    std::string bounds, grid, origin, threshold = "otsu";
+    std::string bounds, grid, origin, threshold = "auto";
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
 
@@ -33,10 +33,12 @@ void read_raw(Raw& raw) {
         const auto p = numbers("--origin", raw.origin, 3);
         o.origin = Vec3d(p[0], p[1], p[2]);
     }
-    if (raw.threshold != "otsu") {
+    if (raw.threshold == "otsu") {
+        o.mask.threshold.level = ThresholdOptions::kOtsu;
+    } else if (raw.threshold != "auto") {
         o.mask.threshold.level = numbers("--threshold", raw.threshold, 1)[0];
         if (o.mask.threshold.level < 0 || o.mask.threshold.level > 255)
-            throw UsageError("--threshold " + raw.threshold + ": must be otsu or within 0..255");
+            throw UsageError("--threshold " + raw.threshold + ": must be auto, otsu or within 0..255");
     }
     o.views.allow_missing = o.mask.allow_missing;
 }
@@ -62,7 +64,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     app->add_option("--ignore-masks", o.mask.ignore_masks, "folder of masks of what neither carves nor confirms")->group("Masks");
     app->add_flag("--mask-invert", o.mask.invert, "masks are black where the object is")->group("Masks");
     app->add_flag("--allow-missing", o.mask.allow_missing, "leave out views whose image or mask is missing or empty")->group("Masks");
-    app->add_option("--threshold", raw->threshold, "level 0..255 for --mask threshold, or otsu")->capture_default_str()->group("Masks");
+    app->add_option("--threshold", raw->threshold, "level 0..255 for --mask threshold; auto: Otsu's of the square root; otsu")->capture_default_str()->group("Masks");
     static const std::map<std::string, MaskChannel> channels{{"brightness", MaskChannel::Brightness}, {"saturation", MaskChannel::Saturation},
                                                              {"red", MaskChannel::Red}, {"green", MaskChannel::Green}, {"blue", MaskChannel::Blue}};
     app->add_option("--threshold-channel", o.mask.threshold.channel, "brightness (largest of R, G, B), saturation, red, green or blue")

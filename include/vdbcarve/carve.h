@@ -54,6 +54,7 @@ struct CarveOptions {
     Outside outside = Outside::Unknown;
     int half_width_vox = 3;       ///< narrow band on either side of the surface
     bool occupancy = false;       ///< the paper's binary model: nearest pixel >= 1/2 in every view
+    bool allow_empty = false;     ///< an empty hull is a result, not an error
     std::optional<IndexBox> brick;  ///< carve this part only; limits are multiples of 8
 };
 

@@ -16,8 +16,12 @@ enum class MaskMethod { Auto, Alpha, Folder, Threshold };
 enum class MaskChannel { Brightness, Saturation, Red, Green, Blue };
 
 struct ThresholdOptions {
-    /// Object where the channel is at least this (0..255); negative: Otsu's threshold of each picture.
-    double level = -1;
+    /// Object where the channel is at least this (0..255); kAuto: Otsu's threshold of the channel's square root,
+    /// on which photon noise is even, so that an object's shaded side is not lost to a black background;
+    /// kOtsu: Otsu's threshold of the channel. make_masks finds
+    /// kAuto's level from all photographs together, threshold_mask from its one.
+    double level = kAuto;
+    static constexpr double kAuto = -1, kOtsu = -2;
     MaskChannel channel = MaskChannel::Brightness;  ///< brightness: the largest of R, G, B
     bool invert = false;                            ///< object is what is below the level
     int open_px = 0;                                ///< opening: removes specks and hairs thinner than twice this

@@ -181,6 +181,17 @@ VDBCARVE_HD bool beyond_band(const CarveView& view, float distance_px, const Pro
     return dz > 0.f && dz * dz >= reach * reach * (1.f + p.mx * p.mx + p.my * p.my);
 }
 
+/// Signed distance, world units, clamped to [-band, band], to the silhouette cone alone: beyond the frame the
+/// border's pixels are taken to go on. Needs depth > 0 (perspective).
+VDBCARVE_HD float silhouette_value(const CarveView& view, const Projected& p, float depth, float band) {
+    const Patch patch = fetch_patch(view.silhouette_px, view.width_px, view.height_px, p.u, p.v);
+    const float s_px = interpolate(patch);
+    // Gradients matter within the band only.
+    if (beyond_band(view, s_px, p, depth, band)) return band;
+    if (beyond_band(view, -s_px, p, depth, band)) return -band;
+    return clamp_f(image_to_world_distance(view, distance_with_normal(patch), p.mx, p.my, depth), -band, band);
+}
+
 /// What one view says about one point: the signed distance, in world units, to the region that the view
 /// shows to be background, clamped to [-band, band]; positive inside that region.
 /// With Outside::Unknown the region is "background and in frame", with Outside::Background it is
@@ -191,21 +202,9 @@ VDBCARVE_HD float view_value(const CarveView& view, const Vec3& point_camera, fl
     const float depth = point_camera.z;
     if (!view.orthographic && depth <= near_depth) return clamp_f(-depth, -band, band);
     const Projected p = project(view, point_camera);
-    const float width = static_cast<float>(view.width_px), height = static_cast<float>(view.height_px);
-    const PixelDistance frame = frame_distance(p.u, p.v, width, height);
-    const Patch patch = fetch_patch(view.silhouette_px, view.width_px, view.height_px, p.u, p.v);
-    const float s_px = interpolate(patch);
-
-    float value;
-    if (beyond_band(view, s_px, p, depth, band))
-        value = band;
-    else if (beyond_band(view, -s_px, p, depth, band))
-        value = -band;
-    else
-        value = image_to_world_distance(view, distance_with_normal(patch), p.mx, p.my, depth);
-
-    const bool frame_matters = !beyond_band(view, -frame.value_px, p, depth, band);
-    if (frame_matters) {
+    float value = silhouette_value(view, p, depth, band);
+    const PixelDistance frame = frame_distance(p.u, p.v, static_cast<float>(view.width_px), static_cast<float>(view.height_px));
+    if (!beyond_band(view, -frame.value_px, p, depth, band)) {
         const float frame_world = image_to_world_distance(view, frame, p.mx, p.my, depth);
         value = view.outside == Outside::Unknown ? min_f(value, -frame_world) : max_f(value, frame_world);
     }

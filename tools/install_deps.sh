@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# Installs what vdbcarve and its tests need, from Debian 12's packages.
+#   tools/install_deps.sh          what builds and tests need
+#   tools/install_deps.sh --dev    also what developers check results with (other people's readers, analysis tools)
+set -euo pipefail
+
+packages=(g++ cmake ninja-build ccache git ca-certificates
+  libopenvdb-dev libnanovdb-dev libtbb-dev libopencv-dev libopencv-contrib-dev libeigen3-dev libopenmesh-dev
+  libcli11-dev libspdlog-dev nlohmann-json3-dev libtinygltf-dev libgtest-dev libbenchmark-dev libnanoflann-dev
+  libimath-dev libvalijson-dev)
+if [ "${1:-}" = "--dev" ]; then
+  packages+=(clang-format-14 clang-tidy-14 libopenvdb-tools python3-openvdb python3-numpy f3d xvfb hyperfine)
+elif [ $# -gt 0 ]; then
+  echo "usage: tools/install_deps.sh [--dev]" >&2
+  exit 2
+fi
+
+missing=()
+for package in "${packages[@]}"; do
+  dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
+done
+if [ ${#missing[@]} -eq 0 ]; then
+  echo "install_deps: everything is there"
+  exit 0
+fi
+
+# Root installs directly; anybody else needs sudo, and only now.
+as_root=()
+if [ "$(id -u)" -ne 0 ]; then
+  command -v sudo >/dev/null || { echo "install_deps: run as root, or install sudo; missing: ${missing[*]}" >&2; exit 1; }
+  as_root=(sudo)
+fi
+echo "install_deps: installing ${missing[*]}"
+"${as_root[@]}" apt-get update -qq
+"${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+echo "install_deps: done"
