@@ -150,7 +150,7 @@ class ImageFinder {
         if (!images_.empty()) places = {images_ / n, images_ / n.filename()};
         else {
             places = {camera_folder_ / n, scene_ / "images" / n, scene_ / n, scene_ / "images" / n.filename(), scene_ / n.filename()};
-            if (!subfolder_.empty()) places.push_back(subfolder_ / n);
+            if (!subfolder_.empty()) places.insert(places.end(), {subfolder_ / n, subfolder_ / n.filename()});
         }
         for (const fs::path& place : places) {
             if (fs::is_regular_file(place)) return place;

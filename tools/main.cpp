@@ -105,6 +105,11 @@ int main(int argc, char** argv) {
     try {
         program.parse(argc, argv);
     } catch (const CLI::ParseError& e) {
+        // CLI11 would only say that a command is missing where an unknown one was given.
+        if (e.get_name() == "RequiredError" && argc > 1 && argv[1][0] != '-' && program.get_subcommands().empty()) {
+            std::cerr << "vdbcarve: '" << argv[1] << "' is no command. Run with --help for the list.\n";
+            return static_cast<int>(ExitCode::Usage);
+        }
         const int code = program.exit(e, std::cout, std::cerr);
         return code == 0 ? 0 : static_cast<int>(ExitCode::Usage);
     }

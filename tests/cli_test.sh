@@ -1,0 +1,106 @@
+#!/usr/bin/env bash
+# The command line as a user meets it: results, exit codes, messages.
+#   cli_test.sh PROGRAM SOURCE_DIR
+set -uo pipefail
+program=$1 source=$2
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+cd "$work"
+failures=0
+
+# expect CODE 'PATTERN' ARGS…: the program must end with CODE and say PATTERN (stdout or stderr).
+expect() {
+  local code=$1 pattern=$2
+  shift 2
+  "$program" "$@" >stdout 2>stderr
+  local got=$?
+  if [ $got -ne "$code" ] || ! cat stdout stderr | grep -Eq -- "$pattern"; then
+    failures=$((failures + 1))
+    echo "FAILED: vdbcarve $* -> exit $got (expected $code), wanted '$pattern', said:"
+    sed 's/^/    /' stdout stderr
+  fi
+}
+check() {
+  if ! "${@:2}"; then
+    failures=$((failures + 1))
+    echo "FAILED: $1"
+  fi
+}
+
+expect 0 'vdbcarve 0\.' --version
+expect 0 'Examples:' --help
+expect 0 '--max-misses' reconstruct --help
+expect 2 'subcommand' 
+expect 2 'frobnicate' frobnicate
+
+expect 0 '6 views' synth ellipsoids -o scene --views 6 --width 120 --height 90
+expect 6 'not empty' synth ellipsoids -o scene
+expect 2 "no built-in object 'teapot'" synth teapot -o elsewhere
+expect 0 'closed manifold' reconstruct scene -o out --resolution 40 --mesh-formats ply,obj,stl
+check 'stdout stays empty unless data is asked for' test ! -s stdout
+for file in volume.vdb mesh.ply mesh.obj mesh.stl cameras.json preview.png report.json config.toml masks/0000.png; do
+  check "out/$file is there" test -s "out/$file"
+done
+check 'nothing temporary is left' test -z "$(find out -name '*.part*')"
+
+# The written configuration repeats the run.
+expect 0 'closed manifold' --config out/config.toml reconstruct scene -o out2
+check 'the same mesh from the same configuration' cmp -s out/mesh.ply out2/mesh.ply
+check 'the same volume from the same configuration' cmp -s out/volume.vdb out2/volume.vdb
+expect 0 'closed manifold' --threads 1 reconstruct scene -o out1 --resolution 40
+check 'one thread gives the same mesh' cmp -s out/mesh.ply out1/mesh.ply
+check 'one thread gives the same volume' cmp -s out/volume.vdb out1/volume.vdb
+# Our cameras.json is a camera file like any other.
+expect 0 'closed manifold' reconstruct scene --cameras ../"$(basename "$work")"/out/cameras.json -o out3 --resolution 40
+
+expect 0 '"event":"stage"' --json - reconstruct scene -o out4 --resolution 24
+check 'every line of --json - is a JSON object' test -z "$(grep -v '^{.*}$' stdout)"
+check 'the last line is the report' grep -q '"mesh"' <(tail -n 1 stdout)
+expect 0 'surface' info out
+expect 0 '"grids"' info out/volume.vdb --json -
+expect 0 'genus' info out/mesh.obj
+expect 0 'focal_px' info scene
+expect 0 'expected_bytes' reconstruct scene -o nothing --dry-run
+check 'a dry run writes nothing' test ! -e nothing
+expect 0 'MB freed' clean out
+expect 3 'not made by vdbcarve' clean scene
+expect 0 'carve .* s' carve scene -o carved --resolution 24
+check 'carve leaves the raw hull' test -s carved/hull.vdb
+expect 0 'mask' mask scene -o masked
+check 'mask leaves masks' test -s masked/masks/0005.png
+
+# Mistakes: message and exit code.
+expect 2 'resolution' reconstruct scene -o bad --resolution -5
+expect 2 'one of --resolution' reconstruct scene -o bad --resolution 5 --voxel-size 1
+expect 2 '6 numbers' reconstruct scene -o bad --bounds 1,2,3
+expect 2 "'x' is not a number" reconstruct scene -o bad --bounds 1,2,3,4,5,x
+expect 2 'where the cameras look' reconstruct scene -o bad --resolution 20 --bounds 100,100,100,101,101,101
+expect 3 'no such folder' reconstruct nowhere -o bad
+expect 7 'without CUDA' reconstruct scene -o bad --backend cuda
+mkdir foreign && touch foreign/file
+expect 6 'not made by vdbcarve' reconstruct scene -o foreign
+expect 6 'cannot be made|is a file' reconstruct scene -o foreign/file/out
+cp -r scene broken && rm broken/images/0002.png
+expect 3 '0002.png: image not found' reconstruct broken -o bad
+expect 0 'left out' reconstruct broken -o partial --allow-missing --resolution 24
+cp -r scene broken2 && sed -i 's/"fl_x": [0-9.]*/"fl_x": -1.0/' broken2/transforms.json
+expect 3 'fx is -1' reconstruct broken2 -o bad
+cp -r scene broken3 && cp broken3/images/0001.png broken3/masks/0001.png
+expect 3 'masks/0001.png: is coloured' reconstruct broken3 -o bad
+mkdir empty
+expect 3 'no cameras found' reconstruct empty -o bad
+check 'no failed run left a result' test ! -e bad/mesh.ply
+
+# Interrupted, then resumed.
+expect 0 'views' synth cup -o long --views 12 --width 200 --height 150 --masks-only
+"$program" reconstruct long -o resumed --resolution 700 >stdout 2>stderr & pid=$!
+sleep 1.5
+kill -INT $pid
+wait $pid
+code=$?
+check "an interrupted run ends with 130 (or had finished), not $code" test $code -eq 130 -o $code -eq 0
+expect 0 'closed manifold' reconstruct long -o resumed --resolution 700
+check 'nothing temporary is left after resuming' test -z "$(find resumed -name '*.part*')"
+
+[ $failures -eq 0 ] && echo "all command-line checks passed" || echo "$failures command-line checks failed"
+exit $((failures > 0))

@@ -1,0 +1,287 @@
+// SPDX-License-Identifier: Apache-2.0
+// Level set, mesh and files.
+#include <openvdb/tools/GridOperators.h>
+#include <openvdb/tools/Interpolation.h>
+#include <openvdb/tools/LevelSetMeasure.h>
+#include <openvdb/tools/LevelSetSphere.h>
+
+#include <random>
+
+#include "atomic_file.h"
+#include "support/scenes.h"
+#include "vdbcarve/export.h"
+#include "vdbcarve/level_set.h"
+#include "vdbcarve/mesh.h"
+#include "vdbcarve/render.h"
+
+namespace vdbcarve::test {
+namespace {
+
+namespace fs = std::filesystem;
+
+openvdb::FloatGrid::Ptr hull_of(const char* name, int resolution, bool occupancy = false, openvdb::MaskGrid::Ptr* mask = nullptr) {
+    openvdb::initialize();
+    const Shoot s = shoot(small_spec(name, 14, 320, 240));
+    CarveOptions o = options_for(s, resolution);
+    o.occupancy = occupancy;
+    Progress quiet;
+    CarveResult r = carve(s.inputs, o, quiet);
+    if (mask) *mask = r.occupancy;
+    return r.hull;
+}
+
+double median(std::vector<double> v) {
+    std::nth_element(v.begin(), v.begin() + static_cast<long>(v.size() / 2), v.end());
+    return v[v.size() / 2];
+}
+
+TEST(LevelSet, GradientIsOneSignsStayZeroStays) {
+    const auto hull = hull_of("ellipsoids", 96);
+    Progress quiet;
+    const auto surface = level_set(*hull, {}, quiet);
+    const double h = surface->voxelSize()[0];
+    EXPECT_EQ(surface->getGridClass(), openvdb::GRID_LEVEL_SET);
+    EXPECT_FLOAT_EQ(surface->background(), static_cast<float>(3 * h));
+    std::vector<double> gradient, moved;
+    size_t flipped = 0;
+    auto raw = hull->getConstAccessor();
+    auto phi = surface->getConstAccessor();
+    for (auto it = surface->cbeginValueOn(); it; ++it) {
+        const openvdb::Coord c = it.getCoord();
+        flipped += (*it < 0) != (raw.getValue(c) < 0);
+        ASSERT_GE(std::fabs(*it), 0.9e-6 * h);
+        if (std::fabs(*it) < 1.5 * h) {
+            openvdb::Vec3d g;
+            for (int a = 0; a < 3; ++a) {
+                openvdb::Coord up = c, down = c;
+                ++up[a];
+                --down[a];
+                g[a] = (phi.getValue(up) - phi.getValue(down)) / (2 * h);
+            }
+            gradient.push_back(g.length());
+        }
+        for (int a = 0; a < 3; ++a) {
+            openvdb::Coord up = c;
+            ++up[a];
+            const double p0 = *it, p1 = phi.getValue(up), r0 = raw.getValue(c), r1 = raw.getValue(up);
+            if ((p0 < 0) != (p1 < 0)) moved.push_back(std::fabs(p0 / (p0 - p1) - r0 / (r0 - r1)));
+        }
+    }
+    EXPECT_EQ(flipped, 0u);
+    EXPECT_NEAR(median(gradient), 1, 0.03);
+    EXPECT_LT(median(moved), 0.03);
+    EXPECT_EQ(surface->activeVoxelCount() > 0, true);
+    EXPECT_THROW(level_set(*openvdb::FloatGrid::create(1.f), {}, quiet), InputError);
+}
+
+TEST(Density, IsOneHalfOnTheSurfaceAndOneInside) {
+    openvdb::initialize();
+    const auto sphere = openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(20.f, openvdb::Vec3f(3, 4, 5), 0.5f, 3.f);
+    const auto density = density_of(*sphere);
+    EXPECT_EQ(density->getGridClass(), openvdb::GRID_FOG_VOLUME);
+    EXPECT_EQ(density->getName(), "density");
+    EXPECT_EQ(density->background(), 0.f);
+    openvdb::tools::GridSampler<openvdb::FloatGrid, openvdb::tools::BoxSampler> sample(*density);
+    std::mt19937 engine(1);
+    std::normal_distribution<double> gauss;
+    for (int n = 0; n < 1000; ++n) {
+        const Vec3d d = Vec3d(gauss(engine), gauss(engine), gauss(engine)).normalized();
+        const auto at = [&](double r) { return sample.wsSample(openvdb::Vec3d(3 + r * d.x(), 4 + r * d.y(), 5 + r * d.z())); };
+        ASSERT_NEAR(at(20), 0.5, 0.02);
+        ASSERT_EQ(at(15), 1);
+        ASSERT_EQ(at(23), 0);
+    }
+    EXPECT_TRUE(density->tree().isValueOn(openvdb::Coord(6, 8, 10)));  // the middle: an active tile
+}
+
+void expect_sound(const MeshMeasures& m, const std::string& what) {
+    EXPECT_TRUE(m.closed) << what;
+    EXPECT_TRUE(m.manifold) << what << ": " << m.non_manifold_edges << " edges, " << m.non_manifold_vertices << " vertices";
+    EXPECT_GT(m.volume, 0) << what;
+    EXPECT_EQ(m.zero_area_faces, 0u) << what;
+}
+
+TEST(Mesh, ClosedManifoldOutwardAtEverySetting) {
+    Progress quiet;
+    for (const char* name : {"ellipsoids", "cup", "boxes"}) {
+        const auto surface = level_set(*hull_of(name, 160), {}, quiet);
+        const double volume = openvdb::tools::levelSetVolume(*surface);
+        for (const double adaptivity : {0.0, 0.1, 0.6}) {
+            const MeshMeasures m = measure(extract_mesh(*surface, {adaptivity}, quiet));
+            EXPECT_TRUE(m.manifold) << name << " " << adaptivity;
+            if (adaptivity == 0) {
+                expect_sound(m, name);
+                EXPECT_NEAR(m.volume, volume, 0.005 * volume) << name;
+            }
+        }
+    }
+}
+
+TEST(Mesh, TorusHasGenusOneSphereNone) {
+    Progress quiet;
+    const MeshMeasures torus = measure(extract_mesh(*level_set(*hull_of("torus", 80), {}, quiet), {}, quiet));
+    EXPECT_EQ(torus.genus, 1);
+    EXPECT_EQ(torus.components, 1u);
+    openvdb::initialize();
+    const MeshMeasures ball = measure(extract_mesh(*openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(35.f, {}, 1.f), {}, quiet));
+    EXPECT_EQ(ball.genus, 0);
+    EXPECT_NEAR(ball.volume, 4.0 / 3 * 3.14159265 * 35 * 35 * 35, 0.002 * ball.volume);
+}
+
+TEST(Mesh, RandomFieldsGiveManifolds) {
+    openvdb::initialize();
+    std::mt19937 engine(3);
+    Progress quiet;
+    for (int round = 0; round < 3; ++round) {
+        auto grid = openvdb::FloatGrid::create(3.f);
+        grid->setGridClass(openvdb::GRID_LEVEL_SET);
+        for (int i = 0; i < 24; ++i)
+            for (int j = 0; j < 24; ++j)
+                for (int k = 0; k < 24; ++k) grid->tree().setValue(openvdb::Coord(i, j, k), static_cast<float>(engine() % 2001) / 1000.f - 1.0001f);
+        const MeshMeasures m = measure(extract_mesh(*grid, {}, quiet));
+        EXPECT_TRUE(m.manifold) << m.boundary_edges << " " << m.non_manifold_edges << " " << m.non_manifold_vertices;
+    }
+}
+
+TEST(Occupancy, BecomesAClosedMeshOfItsVolume) {
+    openvdb::MaskGrid::Ptr mask;
+    hull_of("ellipsoids", 80, true, &mask);
+    Progress quiet;
+    const auto surface = level_set_of_occupancy(*mask, {}, quiet);
+    const MeshMeasures m = measure(extract_mesh(*surface, {}, quiet));
+    expect_sound(m, "occupancy");
+    const double voxels = static_cast<double>(mask->activeVoxelCount()) * std::pow(mask->voxelSize()[0], 3);
+    EXPECT_NEAR(m.volume, voxels, 0.03 * voxels);
+}
+
+TEST(Measure, CountsWhatIsWrong) {
+    // A tetrahedron, closed; then with a face missing, doubled, flipped; then two that share a vertex.
+    Mesh t{{{{0, 0, 0}}, {{1, 0, 0}}, {{0, 1, 0}}, {{0, 0, 1}}}, {{{0, 2, 1}}, {{0, 1, 3}}, {{1, 2, 3}}, {{0, 3, 2}}}};
+    MeshMeasures m = measure(t);
+    EXPECT_TRUE(m.manifold);
+    EXPECT_NEAR(m.volume, 1.0 / 6, 1e-7);
+    EXPECT_EQ(m.genus, 0);
+    Mesh open = t;
+    open.triangles.pop_back();
+    EXPECT_EQ(measure(open).boundary_edges, 3u);
+    Mesh flipped = t;
+    std::swap(flipped.triangles[0][0], flipped.triangles[0][1]);
+    EXPECT_EQ(measure(flipped).non_manifold_edges, 3u);
+    Mesh doubled = t;
+    doubled.triangles.push_back(t.triangles[0]);
+    EXPECT_EQ(measure(doubled).non_manifold_edges, 3u);
+    Mesh two = t;
+    for (auto& v : std::vector(t.vertices.begin() + 1, t.vertices.end())) two.vertices.push_back({-v[0], -v[1], -v[2]});
+    for (auto f : t.triangles) two.triangles.push_back({f[0] ? f[0] + 3 : 0, f[2] ? f[2] + 3 : 0, f[1] ? f[1] + 3 : 0});
+    m = measure(two);
+    EXPECT_TRUE(m.closed);
+    EXPECT_FALSE(m.manifold);
+    EXPECT_EQ(m.non_manifold_vertices, 1u);
+}
+
+TEST(MeshFiles, RoundTripThroughAnotherReader) {
+    openvdb::initialize();
+    Progress quiet;
+    const Mesh mesh = extract_mesh(*openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(8.f, {}, 1.f), {}, quiet);
+    TemporaryFolder folder;
+    const MeshMeasures expected = measure(mesh);
+    for (const char* name : {"m.ply", "m.obj", "m.stl"}) {
+        write_mesh(folder / name, mesh);
+        const Mesh back = read_mesh(folder / name);  // OpenMesh's parsers
+        const MeshMeasures m = measure(back);
+        EXPECT_EQ(m.vertices, expected.vertices) << name;
+        EXPECT_EQ(m.faces, expected.faces) << name;
+        EXPECT_TRUE(m.manifold) << name;
+        EXPECT_NEAR(m.volume, expected.volume, 1e-6 * expected.volume) << name;
+    }
+    const Mesh ply = read_mesh(folder / "m.ply");
+    EXPECT_EQ(ply.vertices, mesh.vertices);
+    EXPECT_EQ(ply.triangles, mesh.triangles);
+    EXPECT_EQ(fs::file_size(folder / "m.stl"), 84 + 50 * mesh.triangles.size());
+    EXPECT_THROW(write_mesh(folder / "m.xyz", mesh), UsageError);
+    EXPECT_THROW(write_mesh(folder / "nowhere/m.ply", mesh), OutputError);
+    EXPECT_THROW(read_mesh(folder / "gone.ply"), InputError);
+    write_text(folder / "bad.ply", "not a ply");
+    EXPECT_THROW(read_mesh(folder / "bad.ply"), InputError);
+}
+
+TEST(MeshFiles, ObjIsTurnedToYUp) {
+    Mesh t{{{{1, 2, 3}}, {{4, 5, 6}}, {{7, 8, 10}}}, {{{0, 1, 2}}}};
+    TemporaryFolder folder;
+    const struct {
+        const char* up;
+        std::array<float, 3> axis;
+    } cases[] = {{"x", {1, 0, 0}}, {"y", {0, 1, 0}}, {"z", {0, 0, 1}}, {"-x", {-1, 0, 0}}, {"-y", {0, -1, 0}}, {"-z", {0, 0, -1}}};
+    for (const auto& c : cases) {
+        t.vertices[0] = c.axis;
+        write_mesh(folder / "t.obj", t, c.up);
+        const Mesh back = read_mesh(folder / "t.obj");
+        EXPECT_EQ(back.vertices[0], (std::array<float, 3>{0, 1, 0})) << c.up;
+        // A rotation, not a mirror: the triple product of the other edges stays.
+        const auto det = [](const Mesh& m) {
+            Mat3d d;
+            for (int i = 0; i < 3; ++i)
+                for (int a = 0; a < 3; ++a) d(i, a) = m.vertices[static_cast<size_t>(i)][static_cast<size_t>(a)];
+            return d.determinant();
+        };
+        EXPECT_NEAR(det(back), det(t), 1e-4) << c.up;
+    }
+}
+
+TEST(VdbFiles, RoundTripAndSameBytes) {
+    const auto hull = hull_of("torus", 48);
+    Progress quiet;
+    const auto surface = level_set(*hull, {}, quiet);
+    TemporaryFolder folder;
+    VdbMetadata meta{"mm", "z", 14, surface->voxelSize()[0], "abc"};
+    write_vdb(folder / "a.vdb", {surface, density_of(*surface)}, meta);
+    write_vdb(folder / "b.vdb", {surface, density_of(*surface)}, meta);
+    EXPECT_EQ(read_text(folder / "a.vdb"), read_text(folder / "b.vdb"));
+    const auto back = read_float_grid(folder / "a.vdb", "surface");
+    EXPECT_EQ(back->getGridClass(), openvdb::GRID_LEVEL_SET);
+    EXPECT_EQ(back->transform(), surface->transform());
+    EXPECT_TRUE(back->tree().hasSameTopology(surface->tree()));
+    for (auto it = surface->cbeginValueOn(); it; ++it) ASSERT_EQ(*it, back->tree().getValue(it.getCoord()));
+    EXPECT_NE(error_of(ExitCode::Input, [&] { read_float_grid(folder / "a.vdb", "heat"); }).find("density"), std::string::npos);
+    EXPECT_THROW(write_vdb(folder / "no/a.vdb", {surface}, meta), OutputError);
+    write_text(folder / "bad.vdb", "not a vdb");
+    EXPECT_THROW(read_vdb(folder / "bad.vdb"), InputError);
+    // What was read from a file and written again is the same file.
+    write_vdb(folder / "c.vdb", {back, density_of(*back)}, meta);
+    EXPECT_EQ(read_text(folder / "a.vdb"), read_text(folder / "c.vdb"));
+}
+
+TEST(AtomicFile, NothingIsLeftOfAFileThatWasNotCommitted) {
+    TemporaryFolder folder;
+    write_text(folder / "kept.txt", "old");
+    {
+        AtomicFile file(folder / "kept.txt");
+        file.stream() << "half";
+    }
+    EXPECT_EQ(read_text(folder / "kept.txt"), "old");
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder.path()), {}), 1);
+}
+
+TEST(Raster, SilhouetteOfABallIsAnEllipseAtPixelCentres) {
+    openvdb::initialize();
+    Progress quiet;
+    const Mesh ball = extract_mesh(*openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(1.f, openvdb::Vec3f(0.3f, -0.2f, 6.f), 0.01f), {}, quiet);
+    Camera c;
+    c.intrinsics = {300, 280, 0, 80, 61, 160, 120, false};
+    const Image8 hit = silhouette_of(ball, c);
+    const Vec3d axis = Vec3d(0.3, -0.2, 6).normalized();
+    const double cosine = std::cos(std::asin(1 / Vec3d(0.3, -0.2, 6).norm()));
+    size_t wrong = 0;
+    for (int y = 0; y < 120; ++y)
+        for (int x = 0; x < 160; ++x) {
+            const double margin = c.ray({x + 0.5, y + 0.5}).direction.dot(axis) - cosine;
+            if (std::fabs(margin) > 2e-5) wrong += (hit.at(x, y) != 0) != (margin > 0);
+        }
+    EXPECT_EQ(wrong, 0u);
+    const SilhouetteAgreement same = compare_silhouettes(hit, {hit.view(), {}});
+    EXPECT_EQ(same.iou, 1);
+    EXPECT_EQ(same.contour_p99_px, 0);
+}
+
+}  // namespace
+}  // namespace vdbcarve::test

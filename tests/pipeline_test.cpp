@@ -1,0 +1,258 @@
+// SPDX-License-Identifier: Apache-2.0
+// The whole job on a synthetic shoot, and the shoot itself.
+#include "vdbcarve/pipeline.h"
+
+#include <nlohmann/json.hpp>
+
+#include "io_image.h"
+#include "support/scenes.h"
+
+namespace vdbcarve::test {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+struct Job {
+    TemporaryFolder folder;
+    ReconstructOptions options;
+
+    explicit Job(const char* object = "ellipsoids") {
+        SyntheticSpec spec = small_spec(object, 8, 160, 120);
+        spec.photos = false;
+        Progress quiet;
+        write_scene(synthesize(spec, quiet), folder / "scene");
+        options.views.scene = folder / "scene";
+        options.output = folder / "out";
+        options.resolution = 64;
+        options.mesh_formats = {"ply", "obj", "stl"};
+    }
+    json run() {
+        Progress progress;
+        return json::parse(reconstruct(options, progress).report_json);
+    }
+    static bool reused(const json& report, const std::string& stage) {
+        for (const json& s : report["stages"])
+            if (s["name"] == stage) return s["reused"];
+        ADD_FAILURE() << "no stage " << stage;
+        return false;
+    }
+    std::string bytes(const std::string& name) const { return read_text(folder / ("out/" + name)); }
+};
+
+const char* const kFiles[] = {"volume.vdb", "mesh.ply", "mesh.obj", "mesh.stl", "cameras.json", "preview.png"};
+
+TEST(Pipeline, WritesTheResultAndItsReport) {
+    Job job;
+    const json r = job.run();
+    for (const char* f : kFiles) EXPECT_TRUE(fs::exists(job.folder / (std::string("out/") + f))) << f;
+    EXPECT_TRUE(fs::exists(job.folder / "out/masks/0003.png"));
+    EXPECT_EQ(r["backend"], "cpu");
+    EXPECT_TRUE(r["mesh"]["closed"]);
+    EXPECT_TRUE(r["mesh"]["manifold"]);
+    EXPECT_GT(r["mesh"]["volume"], 0);
+    ASSERT_EQ(r["views"].size(), 8u);
+    for (const json& v : r["views"]) EXPECT_GT(v["silhouette_iou"], 0.98) << v;
+    std::vector<std::string> names;
+    for (const json& s : r["stages"]) {
+        names.push_back(s["name"]);
+        EXPECT_TRUE(s["seconds"].is_number());
+        EXPECT_GT(s["peak_rss_bytes"], 1000000);
+    }
+    EXPECT_EQ(names, (std::vector<std::string>{"views", "mask", "distance", "carve", "level_set", "mesh", "export"}));
+    for (const char* key : {"dims", "voxel_size", "active_voxels", "leaves", "bytes"}) EXPECT_TRUE(r["grid"].contains(key)) << key;
+    EXPECT_EQ(r["inputs"].size(), 8u);
+}
+
+TEST(Pipeline, TwoRunsGiveTheSameBytesAndTheSecondRedoesNothing) {
+    Job a, b;
+    a.run();
+    b.run();
+    for (const char* f : kFiles) EXPECT_EQ(a.bytes(f), b.bytes(f)) << f;
+    const json again = a.run();
+    for (const char* stage : {"mask", "carve", "level_set", "mesh"}) EXPECT_TRUE(Job::reused(again, stage)) << stage;
+    for (const char* f : kFiles) EXPECT_EQ(a.bytes(f), b.bytes(f)) << f;
+    // After `clean` everything is made anew, the same.
+    EXPECT_GT(clean(a.options.output), 100000u);
+    EXPECT_EQ(std::distance(fs::directory_iterator(a.folder / "out/stages"), {}), 1);  // the marker
+    EXPECT_FALSE(Job::reused(a.run(), "carve"));
+    for (const char* f : kFiles) EXPECT_EQ(a.bytes(f), b.bytes(f)) << f;
+}
+
+TEST(Pipeline, AChangedOptionRedoesOnlyWhatDependsOnIt) {
+    Job job;
+    job.run();
+    job.options.adaptivity = 0.2;
+    json r = job.run();
+    EXPECT_TRUE(Job::reused(r, "carve"));
+    EXPECT_TRUE(Job::reused(r, "level_set"));
+    EXPECT_FALSE(Job::reused(r, "mesh"));
+    job.options.max_misses = 1;
+    r = job.run();
+    EXPECT_TRUE(Job::reused(r, "mask"));
+    EXPECT_FALSE(Job::reused(r, "carve"));
+    job.options.max_misses = 0;
+    EXPECT_TRUE(Job::reused(job.run(), "carve"));  // the older stage is still there
+}
+
+TEST(Pipeline, AMaskEditedByHandIsUsedAndKept) {
+    Job job;
+    const double before = job.run()["mesh"]["volume"];
+    const fs::path mask = job.folder / "out/masks/0002.png";
+    Image8 m = io::read_image8(mask);
+    for (int y = 0; y < m.height; ++y)
+        for (int x = 0; x < 75; ++x) m.at(x, y) = 0;  // cuts the object's left part off
+    const auto png = io::encode_png(m);
+    write_text(mask, {png.begin(), png.end()});
+    const std::string edited = read_text(mask);
+    const json r = job.run();
+    EXPECT_FALSE(Job::reused(r, "mask"));
+    EXPECT_LT(r["mesh"]["volume"], 0.9 * before);
+    EXPECT_EQ(read_text(mask), edited);
+    EXPECT_TRUE(Job::reused(job.run(), "carve"));
+    EXPECT_EQ(read_text(mask), edited);
+}
+
+TEST(Pipeline, AStageThatWasCutOffIsMadeAgain) {
+    Job job;
+    job.run();
+    const std::string good = job.bytes("mesh.ply");
+    // What a killed run leaves: some stages done, a temporary file, no result.
+    for (const auto& e : fs::directory_iterator(job.folder / "out/stages"))
+        if (e.path().filename().string().rfind("surface-", 0) == 0) fs::remove(e.path());
+    for (const char* f : kFiles) fs::remove(job.folder / (std::string("out/") + f));
+    write_text(job.folder / "out/stages/.surface-123.vdb.part99", "half");
+    const json r = job.run();
+    EXPECT_TRUE(Job::reused(r, "carve"));
+    EXPECT_FALSE(Job::reused(r, "level_set"));
+    EXPECT_EQ(job.bytes("mesh.ply"), good);
+}
+
+TEST(Pipeline, ForeignFoldersAreLeftAlone) {
+    Job job;
+    fs::create_directories(job.options.output);
+    write_text(job.folder / "out/thesis.txt", "precious");
+    EXPECT_NE(error_of(ExitCode::Output, [&] { job.run(); }).find("--force"), std::string::npos);
+    job.options.force = true;
+    job.run();
+    EXPECT_EQ(job.bytes("thesis.txt"), "precious");
+    EXPECT_THROW(clean(job.folder / "scene"), InputError);
+}
+
+TEST(Pipeline, GridsBoundsAndOrigin) {
+    Job job;
+    job.options.resolution = 0;
+    job.options.last_stage = LastStage::Carve;
+    job.options.bounds = Box3d(Vec3d(-1, -0.8, -1), Vec3d(1, 0.8, 1));
+    job.options.grid = {50, 40, 50};
+    json r = job.run();
+    EXPECT_EQ(r["grid"]["dims"], json({50, 40, 50}));
+    EXPECT_NEAR(r["grid"]["voxel_size"], 0.04, 1e-12);
+    job.options.grid = {50, 50, 50};
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("not cubes"), std::string::npos);
+    job.options.grid.reset();
+    job.options.voxel_size = 0.05;
+    EXPECT_EQ(job.run()["grid"]["dims"], json({40, 32, 40}));
+    job.options.bounds->min().x() = 0.1;
+    r = job.run();
+    EXPECT_GT(r["grid"]["clipped_share"], 0.02);
+    EXPECT_NE(r["warnings"].dump().find("cut the object"), std::string::npos);
+    job.options.resolution = 10;
+    EXPECT_THROW(job.run(), UsageError);
+    job.options.resolution = 0;
+    job.options.bounds = Box3d(Vec3d(0, 0, 0), Vec3d(1, 0, 1));
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("--bounds has no volume"), std::string::npos);
+    job.options.bounds.reset();
+    job.options.backend = Backend::Cuda;
+    EXPECT_NE(error_of(ExitCode::Backend, [&] { job.run(); }).find("without CUDA"), std::string::npos);
+}
+
+TEST(Pipeline, OccupancyAndDryRun) {
+    Job job("torus");
+    job.options.occupancy = true;
+    const json r = job.run();
+    EXPECT_TRUE(r["mesh"]["manifold"]);
+    EXPECT_EQ(r["mesh"]["genus"], 1);
+    Job plan;
+    plan.options.dry_run = true;
+    const json p = plan.run();
+    EXPECT_TRUE(p["grid"].contains("expected_bytes"));
+    EXPECT_FALSE(fs::exists(plan.options.output));
+}
+
+TEST(Synthetic, SameSeedSameSceneOtherSeedAnother) {
+    SyntheticSpec spec = small_spec("cup", 2, 64, 48);
+    spec.rig.shake_angle_deg = 5;
+    Progress quiet;
+    const SyntheticScene a = synthesize(spec, quiet), b = synthesize(spec, quiet);
+    spec.seed = 2;
+    const SyntheticScene c = synthesize(spec, quiet);
+    EXPECT_EQ(a.photos[1].data, b.photos[1].data);
+    EXPECT_EQ(cameras_json(a.views), cameras_json(b.views));
+    EXPECT_NE(cameras_json(a.views), cameras_json(c.views));
+    EXPECT_EQ(cameras_json(a.nominal), cameras_json(c.nominal));
+}
+
+TEST(Synthetic, MasksOfABallHaveItsClosedForm) {
+    SyntheticSpec spec;
+    Solid ball;
+    ball.size = Vec3d::Constant(0.5);
+    spec.solids = {ball};
+    spec.photos = false;
+    spec.rig.views = 3;
+    spec.rig.width_px = 90;
+    spec.rig.height_px = 70;
+    Progress quiet;
+    const SyntheticScene s = synthesize(spec, quiet);
+    for (size_t v = 0; v < 3; ++v) {
+        const Camera& c = s.views.views[v].camera;
+        const Vec3d axis = -c.centre_world();
+        const double cosine = std::cos(std::asin(0.5 / axis.norm()));
+        for (int y = 0; y < 70; ++y)
+            for (int x = 0; x < 90; ++x) {
+                int count = 0;
+                for (int j = 0; j < 16; ++j)
+                    for (int i = 0; i < 16; ++i) count += c.ray({x + (i + 0.5) / 16, y + (j + 0.5) / 16}).direction.dot(axis.normalized()) >= cosine;
+                ASSERT_NEAR(s.masks[v].coverage.at(x, y), (count * 255 + 128) / 256, 2) << x << " " << y;
+            }
+    }
+}
+
+TEST(Synthetic, MeshAndSolidsGiveTheSameMasks) {
+    SyntheticSpec spec = small_spec("ellipsoids", 3, 120, 90);
+    spec.photos = false;
+    spec.rig.distance = 4;
+    Progress quiet;
+    const SyntheticScene solids = synthesize(spec, quiet);
+    EXPECT_TRUE(measure(solids.truth).manifold);
+    SyntheticSpec mesh = spec;
+    mesh.solids.clear();
+    mesh.mesh = solids.truth;
+    const SyntheticScene meshed = synthesize(mesh, quiet);
+    for (size_t v = 0; v < 3; ++v) {
+        double difference = 0, object = 0;
+        for (size_t p = 0; p < solids.masks[v].coverage.data.size(); ++p) {
+            difference += std::abs(solids.masks[v].coverage.data[p] - meshed.masks[v].coverage.data[p]) / 255.0;
+            object += solids.masks[v].coverage.data[p] / 255.0;
+        }
+        EXPECT_LT(difference, 0.01 * object);
+    }
+}
+
+TEST(Synthetic, SpecsAreReadAndMistakesNamed) {
+    TemporaryFolder folder;
+    write_text(folder / "s.json", R"({"solids":[{"type":"box","size":[1,2,3],"turn_deg":[0,0,30]}],"rig":{"type":"dome","views":5,"orthographic":true},"seed":9})");
+    const SyntheticSpec spec = read_spec(folder / "s.json");
+    EXPECT_EQ(spec.solids.size(), 1u);
+    EXPECT_EQ(spec.rig.views, 5);
+    EXPECT_TRUE(spec.rig.orthographic);
+    for (const auto& [text, part] : {std::pair{R"({"solid":[]})", "'solid'"}, std::pair{R"({"rig":{"views":"many"}})", "type must be number"},
+                                     std::pair{R"({"solids":[{"type":"cone","size":[1,1,1]}]})", "cone"}, std::pair{"{", "parse error"}}) {
+        write_text(folder / "bad.json", text);
+        EXPECT_NE(error_of(ExitCode::Input, [&] { read_spec(folder / "bad.json"); }).find(part), std::string::npos) << text;
+    }
+    for (const char* name : {"cup.json", "ellipsoids_dome.json"}) read_spec(std::string(VDBCARVE_SOURCE_DIR) + "/data/" + name);
+}
+
+}  // namespace
+}  // namespace vdbcarve::test

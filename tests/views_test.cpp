@@ -1,0 +1,357 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/views.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <valijson/adapters/nlohmann_json_adapter.hpp>
+#include <valijson/schema.hpp>
+#include <valijson/schema_parser.hpp>
+#include <valijson/validation_results.hpp>
+#include <valijson/validator.hpp>
+
+#include "io_image.h"
+#include "sha256.h"
+#include "support/camera_files.h"
+#include "support/scenes.h"
+
+namespace vdbcarve::test {
+namespace {
+
+namespace fs = std::filesystem;
+
+Views load(const fs::path& scene, const std::function<void(ViewsOptions&)>& change = {}) {
+    ViewsOptions o;
+    o.scene = scene;
+    if (change) change(o);
+    Progress quiet;
+    return load_views(o, quiet);
+}
+
+void expect_same_cameras(const Views& a, const Views& b, double tolerance) {
+    ASSERT_EQ(a.views.size(), b.views.size());
+    for (size_t i = 0; i < a.views.size(); ++i) {
+        const Camera &x = a.views[i].camera, &y = b.views[i].camera;
+        const double scale = x.camera_from_world.translation.norm();
+        EXPECT_LT((x.camera_from_world.rotation - y.camera_from_world.rotation).norm(), tolerance);
+        EXPECT_LT((x.camera_from_world.translation - y.camera_from_world.translation).norm(), tolerance * scale);
+        EXPECT_LT((x.intrinsics.matrix() - y.intrinsics.matrix()).norm(), tolerance * x.intrinsics.fx);
+        EXPECT_EQ(x.intrinsics.width_px, y.intrinsics.width_px);
+        EXPECT_EQ(x.intrinsics.height_px, y.intrinsics.height_px);
+        EXPECT_EQ(x.intrinsics.orthographic, y.intrinsics.orthographic);
+    }
+}
+
+/// Shaken views with non-square pixels, and their pictures in a folder.
+struct Written {
+    TemporaryFolder folder;
+    SyntheticScene scene;
+
+    explicit Written(double aspect = 1.1, bool centred = false) {
+        SyntheticSpec spec = small_spec("torus", 4, 40, 30);
+        spec.photos = false;
+        spec.rig.pixel_aspect = aspect;
+        spec.rig.shake_angle_deg = spec.rig.shake_roll_deg = 5;
+        spec.rig.shake_position = 0.03;
+        Progress quiet;
+        scene = synthesize(spec, quiet);
+        for (View& v : scene.views.views) {
+            v.name = fs::path(v.name).filename().string();
+            if (!centred) {
+                v.camera.intrinsics.cx += 1.7;
+                v.camera.intrinsics.cy -= 0.6;
+            }
+        }
+        fs::create_directories(folder / "images");
+        for (size_t i = 0; i < scene.views.views.size(); ++i) {
+            const auto png = io::encode_png(scene.masks[i].coverage);
+            write_text(folder / ("images/" + scene.views.views[i].name), {png.begin(), png.end()});
+        }
+    }
+};
+
+TEST(Importers, Middlebury) {
+    Written w;
+    write_text(w.folder / "x_par.txt", middlebury_text(w.scene.views));
+    const Views read = load(w.folder.path());
+    EXPECT_EQ(read.format, "Middlebury");
+    expect_same_cameras(read, w.scene.views, 1e-12);
+    // The pixel rule can be overridden: then the principal point is half a pixel less.
+    const Views corner = load(w.folder.path(), [](ViewsOptions& o) { o.pixel_centre = PixelCentre::Corner; });
+    EXPECT_NEAR(corner.views[0].camera.intrinsics.cx, read.views[0].camera.intrinsics.cx - 0.5, 1e-12);
+}
+
+TEST(Importers, ColmapTextAndBinary) {
+    Written w;
+    fs::create_directories(w.folder / "sparse/0");
+    write_colmap_text(w.folder / "sparse/0", w.scene.views);
+    const Views text = load(w.folder.path());
+    EXPECT_EQ(text.format, "COLMAP");
+    expect_same_cameras(text, w.scene.views, 1e-12);
+    // Binary wins over text, so a broken text file beside it does no harm.
+    write_colmap_binary(w.folder / "sparse/0", w.scene.views);
+    write_text(w.folder / "sparse/0/cameras.txt", "nonsense\n");
+    expect_same_cameras(load(w.folder.path()), w.scene.views, 1e-12);
+}
+
+TEST(Importers, ColmapModels) {
+    Written w(1.0);
+    const std::string images = "# header\n1 1 0 0 0 0 0 4 1 0000.png\n\n2 1 0 0 0 0 0 5 1 0001.png\n0.5 0.5 -1 7 8 -1\n";
+    const struct {
+        const char *line;
+        Lens::Model model;
+        size_t coefficients;
+    } models[] = {{"1 SIMPLE_PINHOLE 40 30 50 20 15", Lens::Model::None, 0},
+                  {"1 PINHOLE 40 30 50 51 20 15", Lens::Model::None, 0},
+                  {"1 SIMPLE_RADIAL 40 30 50 20 15 0.1", Lens::Model::SimpleRadial, 1},
+                  {"1 RADIAL 40 30 50 20 15 0.1 0.2", Lens::Model::Radial, 2},
+                  {"1 OPENCV 40 30 50 51 20 15 0.1 0.2 0.3 0.4", Lens::Model::OpenCV, 4},
+                  {"1 OPENCV_FISHEYE 40 30 50 51 20 15 0.1 0.2 0.3 0.4", Lens::Model::OpenCVFisheye, 4},
+                  {"1 FULL_OPENCV 40 30 50 51 20 15 1 2 3 4 5 6 7 8", Lens::Model::FullOpenCV, 8}};
+    fs::create_directories(w.folder / "sparse");
+    write_text(w.folder / "sparse/images.txt", images);
+    for (const auto& m : models) {
+        write_text(w.folder / "sparse/cameras.txt", std::string(m.line) + "\n");
+        const Views v = load(w.folder.path());
+        ASSERT_EQ(v.views.size(), 2u);
+        EXPECT_EQ(v.views[0].lens.model, m.model) << m.line;
+        EXPECT_EQ(v.views[0].lens.coefficients.size(), m.coefficients) << m.line;
+        EXPECT_EQ(v.views[0].camera.intrinsics.fx, 50);
+        EXPECT_EQ(v.views[0].camera.intrinsics.cx, 20);
+        EXPECT_EQ(v.views[0].camera.intrinsics.cy, 15);
+        EXPECT_EQ(v.views[1].camera.camera_from_world.translation.z(), 5);
+    }
+    write_text(w.folder / "sparse/cameras.txt", "1 THIN_PRISM_FISHEYE 40 30 50 51 20 15 1 2 3 4 5 6 7 8\n");
+    const std::string message = error_of(ExitCode::Input, [&] { load(w.folder.path()); });
+    EXPECT_NE(message.find("THIN_PRISM_FISHEYE"), std::string::npos) << message;
+}
+
+TEST(Importers, ColmapNamesMayHoldSpacesAndFolders) {
+    Written w;
+    fs::create_directories(w.folder / "images/left eye");
+    fs::rename(w.folder / "images/0000.png", w.folder / "images/left eye/a b.png");
+    fs::create_directories(w.folder / "colmap");
+    write_text(w.folder / "colmap/cameras.txt", "7 PINHOLE 40 30 50 51 20 15\n");
+    write_text(w.folder / "colmap/images.txt", "1 1 0 0 0 0 0 4 7 left eye/a b.png\n\n");
+    EXPECT_EQ(load(w.folder.path()).views[0].name, "left eye/a b.png");
+}
+
+TEST(Importers, TransformsJson) {
+    Written w;
+    write_text(w.folder / "transforms.json", transforms_text(w.scene.views));
+    const Views read = load(w.folder.path());
+    EXPECT_EQ(read.format, "transforms.json");
+    expect_same_cameras(read, w.scene.views, 1e-12);
+    EXPECT_EQ(read.up, "z");
+}
+
+TEST(Importers, TransformsWithAngleAndWithoutExtensions) {
+    Written w(1.0, true);
+    nlohmann::json j = nlohmann::json::parse(transforms_text(w.scene.views));
+    const Intrinsics& k = w.scene.views.views[0].camera.intrinsics;
+    j["camera_angle_x"] = 2 * std::atan(0.5 * k.width_px / k.fx);
+    for (auto& f : j["frames"]) {
+        for (const char* key : {"fl_x", "fl_y", "cx", "cy", "w", "h"}) f.erase(key);
+        f["file_path"] = "./images/" + fs::path(f["file_path"].get<std::string>()).stem().string();
+    }
+    write_text(w.folder / "transforms_train.json", j.dump());
+    expect_same_cameras(load(w.folder.path()), w.scene.views, 1e-12);
+}
+
+TEST(Importers, TransformsUndoTheAppliedTransform) {
+    Written w;
+    // What nerfstudio does: swap axes, negate one, here with a scale as well.
+    Mat4d applied = Mat4d::Zero();
+    applied(0, 0) = applied(1, 2) = 2;
+    applied(2, 1) = -2;
+    applied(0, 3) = 0.3;
+    applied(3, 3) = 1;
+    nlohmann::json j = nlohmann::json::parse(transforms_text(w.scene.views));
+    j["applied_transform"] = {{2, 0, 0, 0.3}, {0, 0, 2, 0}, {0, -2, 0, 0}};
+    for (auto& f : j["frames"]) {
+        Mat4d m;
+        for (int i = 0; i < 16; ++i) m(i / 4, i % 4) = f["transform_matrix"][static_cast<size_t>(i / 4)][static_cast<size_t>(i % 4)];
+        m = applied * m;
+        m.topLeftCorner<3, 3>() /= 2;
+        for (int i = 0; i < 16; ++i) f["transform_matrix"][static_cast<size_t>(i / 4)][static_cast<size_t>(i % 4)] = m(i / 4, i % 4);
+    }
+    write_text(w.folder / "transforms.json", j.dump());
+    expect_same_cameras(load(w.folder.path()), w.scene.views, 1e-12);
+}
+
+TEST(Importers, ProjectionMatricesOneFileAView) {
+    Written w;
+    for (const View& v : w.scene.views.views) write_text(w.folder / (fs::path(v.name).stem().string() + ".pa"), projection_text(v, -0.013));
+    const Views read = load(w.folder.path());
+    EXPECT_EQ(read.format, "projection matrices");
+    expect_same_cameras(read, w.scene.views, 1e-9);
+}
+
+TEST(Importers, ProjectionMatricesInOneFile) {
+    Written w;
+    std::string all;
+    for (const View& v : w.scene.views.views) all += projection_text(v, 2.5) + "\n";
+    write_text(w.folder / "matrices.txt", all);
+    expect_same_cameras(load(w.folder.path(), [](ViewsOptions& o) { o.cameras = "matrices.txt"; }), w.scene.views, 1e-9);
+}
+
+TEST(Importers, AMirroredWorldIsReportedAndMirroredBack) {
+    Written w;
+    std::string all;
+    for (const View& v : w.scene.views.views) {
+        View mirrored = v;
+        mirrored.camera.camera_from_world.rotation.col(2) *= -1;
+        all += projection_text(mirrored, 1) + "\n";
+    }
+    write_text(w.folder / "matrices.txt", all);
+    ViewsOptions o;
+    o.scene = w.folder.path();
+    o.cameras = "matrices.txt";
+    Progress progress;
+    std::string notes;
+    progress.on_note = [&](const std::string& n) { notes += n; };
+    expect_same_cameras(load_views(o, progress), w.scene.views, 1e-9);
+    EXPECT_NE(notes.find("left-handed"), std::string::npos) << notes;
+}
+
+TEST(Importers, AProjectiveWorldIsRefusedUntilAccepted) {
+    Written w;
+    std::string all;
+    for (View v : w.scene.views.views) {
+        v.camera.intrinsics.fy *= 2;
+        all += projection_text(v, 1) + "\n";
+    }
+    write_text(w.folder / "matrices.txt", all);
+    const auto choose = [](ViewsOptions& o) { o.cameras = "matrices.txt"; };
+    EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path(), choose); }).find("--accept-non-metric"), std::string::npos);
+    EXPECT_FALSE(load(w.folder.path(), [](ViewsOptions& o) {
+                     o.cameras = "matrices.txt";
+                     o.accept_non_metric = true;
+                 }).metric);
+}
+
+TEST(CamerasJson, RoundTripKeepsCamerasLensAndSittings) {
+    Written w;
+    Views views = w.scene.views;
+    views.units = "mm";
+    views.up = "-y";
+    views.views[0].camera.intrinsics.skew = 0.25;
+    views.views[1].lens = {Lens::Model::FullOpenCV, {0.1, 0.2, 0.001, -0.002, 0.3, 0.01, 0.02, 0.03}};
+    views.views[2].lens = {Lens::Model::OpenCVFisheye, {0.1, 0.2, 0.3, 0.4}};
+    views.views[3].lens = {Lens::Model::OpenCV, {0.1, 0.2, 0.001, -0.002}};
+    Sitting turned;
+    turned.id = "turned over";
+    turned.scale = 1.25;
+    turned.scene_from_sitting.rotation = rotation_from_quaternion(0.2, 0.7, -0.1, 0.4);
+    turned.scene_from_sitting.translation = Vec3d(0.1, 0.2, -0.3);
+    views.sittings.push_back(turned);
+    views.views[2].sitting = turned.id;
+    write_text(w.folder / "cameras.json", cameras_json(views));
+    const Views read = load(w.folder.path());
+    expect_same_cameras(read, views, 1e-12);
+    EXPECT_EQ(read.units, "mm");
+    EXPECT_EQ(read.up, "-y");
+    EXPECT_NEAR(read.views[0].camera.intrinsics.skew, 0.25, 1e-12);
+    for (size_t i = 1; i < 4; ++i) {
+        EXPECT_EQ(read.views[i].lens.model, views.views[i].lens.model);
+        EXPECT_EQ(read.views[i].lens.coefficients, views.views[i].lens.coefficients);
+    }
+    ASSERT_EQ(read.sittings.size(), 2u);
+    EXPECT_EQ(read.views[2].sitting, turned.id);
+    EXPECT_EQ(read.sittings[1].scale, 1.25);
+    // Writing what was read gives the same file: nothing drifts.
+    EXPECT_EQ(cameras_json(read).size(), cameras_json(views).size());
+}
+
+TEST(CamerasJson, SittingsMoveTheCameraIntoTheScene) {
+    const Shoot s = shoot(small_spec("torus", 1, 16, 12));
+    Views views = s.scene.views;
+    Sitting turned;
+    turned.scale = 2;
+    turned.scene_from_sitting.rotation = rotation_from_quaternion(0.2, 0.7, -0.1, 0.4);
+    turned.scene_from_sitting.translation = Vec3d(0.1, 0.2, -0.3);
+    views.sittings = {turned};
+    const Vec3d in_sitting(0.1, -0.2, 0.15), in_scene = turned.scale * (turned.scene_from_sitting * in_sitting);
+    EXPECT_LT((*views.cameras()[0].project(in_scene) - *s.scene.views.views[0].camera.project(in_sitting)).norm(), 1e-9);
+}
+
+TEST(CamerasJson, FollowsItsSchema) {
+    Written w;
+    nlohmann::json schema_text = nlohmann::json::parse(read_text(std::string(VDBCARVE_SOURCE_DIR) + "/data/cameras.schema.json"));
+    valijson::Schema schema;
+    valijson::SchemaParser parser;
+    parser.populateSchema(valijson::adapters::NlohmannJsonAdapter(schema_text), schema);
+    nlohmann::json good = nlohmann::json::parse(cameras_json(w.scene.views));
+    std::string last_error;
+    const auto valid = [&](const nlohmann::json& j) {
+        valijson::Validator validator;
+        valijson::ValidationResults results;
+        const bool ok = validator.validate(schema, valijson::adapters::NlohmannJsonAdapter(j), &results);
+        valijson::ValidationResults::Error error;
+        while (!ok && results.popError(error)) last_error += error.description + "; ";
+        return ok;
+    };
+    EXPECT_TRUE(valid(good)) << last_error;
+    nlohmann::json bad = good;
+    bad["frames"][0].erase("fl_x");
+    EXPECT_FALSE(valid(bad));
+    bad = good;
+    bad["vdbcarve"]["schema"] = 2;
+    EXPECT_FALSE(valid(bad));
+    bad = good;
+    bad["frames"][0]["transform_matrix"].erase(0);
+    EXPECT_FALSE(valid(bad));
+}
+
+TEST(Views, NaturalOrder) {
+    std::vector<std::string> names{"image_10.jpg", "image_2.jpg", "Image_1.jpg", "image_02.jpg", "a", "image_2b.jpg"};
+    std::sort(names.begin(), names.end(), natural_less);
+    EXPECT_EQ(names, (std::vector<std::string>{"Image_1.jpg", "a", "image_02.jpg", "image_2.jpg", "image_2b.jpg", "image_10.jpg"}));
+    for (const auto& a : names) EXPECT_FALSE(natural_less(a, a));
+}
+
+TEST(Views, MistakesAreNamed) {
+    Written w;
+    const auto message_with = [&](const std::function<void(nlohmann::json&)>& spoil) {
+        nlohmann::json j = nlohmann::json::parse(transforms_text(w.scene.views));
+        spoil(j);
+        write_text(w.folder / "transforms.json", j.dump());
+        return error_of(ExitCode::Input, [&] { load(w.folder.path()); });
+    };
+    const auto has = [](const std::string& message, const std::string& part) { EXPECT_NE(message.find(part), std::string::npos) << message; };
+    has(message_with([](auto& j) { j["frames"][1]["file_path"] = "gone.png"; }), "gone.png: image not found");
+    has(message_with([](auto& j) { j["frames"][2]["transform_matrix"][0][1] = nullptr; }), "frame 2");
+    has(message_with([](auto& j) { for (size_t i = 0; i < 3; ++i) j["frames"][1]["transform_matrix"][i][0] = -j["frames"][1]["transform_matrix"][i][0].template get<double>(); }), "left-handed");
+    has(message_with([](auto& j) { j["frames"][0]["fl_x"] = -5; }), "fx is -5");
+    has(message_with([](auto& j) { for (auto& f : j["frames"]) f.erase("fl_x"); }), "focal length");
+    has(message_with([](auto& j) { j["frames"][3]["file_path"] = j["frames"][0]["file_path"]; }), "listed twice");
+    write_text(w.folder / "transforms.json", "{ not json");
+    has(error_of(ExitCode::Input, [&] { load(w.folder.path()); }), "no cameras found");
+    has(error_of(ExitCode::Input, [&] { load(w.folder / "nowhere"); }), "no such folder");
+    fs::remove(w.folder / "transforms.json");
+    write_text(w.folder / "a_par.txt", "0\n");
+    has(error_of(ExitCode::Input, [&] { load(w.folder.path()); }), "holds no views");
+    std::string nan = middlebury_text(w.scene.views);
+    const size_t at = nan.find(' ', nan.find(".png")) + 1;
+    nan.replace(at, nan.find(' ', at) - at, "nan");
+    write_text(w.folder / "a_par.txt", nan);
+    has(error_of(ExitCode::Input, [&] { load(w.folder.path()); }), "0000.png: fx is nan");
+}
+
+TEST(Views, ImagesInTheOnlyFittingSubfolder) {
+    Written w;
+    write_text(w.folder / "transforms.json", transforms_text(w.scene.views));
+    fs::rename(w.folder / "images", w.folder / "silhouettes");
+    EXPECT_EQ(load(w.folder.path()).views[0].image_path, w.folder / "silhouettes/0000.png");
+}
+
+TEST(Sha256, FipsExamples) {
+    EXPECT_EQ(Sha256().hex(), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+    EXPECT_EQ(Sha256().add("abc", 3).hex(), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+    Sha256 pieces;
+    const std::string a(1000, 'a');
+    for (int i = 0; i < 1000; ++i) pieces.add(a.data(), a.size());
+    EXPECT_EQ(pieces.hex(), "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0");
+}
+
+}  // namespace
+}  // namespace vdbcarve::test
