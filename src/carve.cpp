@@ -85,6 +85,51 @@ struct NodeState {
     bool in_box;            ///< the whole node lies deeper inside the bounds than the band
 };
 
+// The portable binary picks the widest vector unit at run time. The same operations in the same order, without
+// fused multiply-add, give the same bits on each. (Sanitizers start after such choices are made.)
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__)
+#define VDBCARVE_VECTOR_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define VDBCARVE_VECTOR_CLONES
+#endif
+
+struct LeafSamples {
+    float x[kLeafVoxels], y[kLeafVoxels], z[kLeafVoxels];  ///< camera space
+    float s_px[kLeafVoxels];                               ///< field, interpolated
+};
+
+/// Field values at the voxels of a leaf that lies whole in frame and before the camera. Written as plain loops over
+/// arrays, so that the compiler makes vectors and gathers of them; the arithmetic is that of kernel::project,
+/// fetch_patch and interpolate.
+VDBCARVE_VECTOR_CLONES
+void sample_leaf(const CarveView& view, const kernel::LeafToCamera& leaf, LeafSamples& out) {
+    for (int i = 0; i < 8; ++i)
+        for (int j = 0; j < 8; ++j)
+            for (int k = 0; k < 8; ++k) {
+                const kernel::Vec3 p = kernel::voxel_in_camera(leaf, i, j, k);
+                const int at = i << 6 | j << 3 | k;
+                out.x[at] = p.x;
+                out.y[at] = p.y;
+                out.z[at] = p.z;
+            }
+    const float fx = view.fx, skew = view.skew, fy = view.fy, cx = view.cx, cy = view.cy;
+    const float right = static_cast<float>(view.width_px - 1), bottom = static_cast<float>(view.height_px - 1);
+    const int last_x = view.width_px - 2, last_y = view.height_px - 2, width = view.width_px;
+    const float* field = view.silhouette_px;
+    const bool orthographic = view.orthographic != 0;
+    for (int at = 0; at < kLeafVoxels; ++at) {
+        const float inverse_depth = orthographic ? 1.f : 1.f / out.z[at];
+        const float mx = out.x[at] * inverse_depth, my = out.y[at] * inverse_depth;
+        const float px = kernel::clamp_f(fx * mx + skew * my + cx - 0.5f, 0.f, right), py = kernel::clamp_f(fy * my + cy - 0.5f, 0.f, bottom);
+        const int ix = std::min(static_cast<int>(px), last_x), iy = std::min(static_cast<int>(py), last_y);
+        const float a = px - static_cast<float>(ix), b = py - static_cast<float>(iy);
+        const int texel = iy * width + ix;  // check_options keeps images below 2^31 pixels
+        const float s00 = field[texel], s10 = field[texel + 1], s01 = field[texel + width], s11 = field[texel + width + 1];
+        const float top = s00 + a * (s10 - s00), low = s01 + a * (s11 - s01);
+        out.s_px[at] = top + b * (low - top);
+    }
+}
+
 class Carver {
   public:
     Carver(const std::vector<CarveInput>& inputs, const CarveOptions& options) : options_(options) {
@@ -113,7 +158,7 @@ class Carver {
         std::vector<uint16_t> all(views_.size());
         for (size_t i = 0; i < all.size(); ++i) all[i] = static_cast<uint16_t>(i);
         std::vector<std::vector<uint16_t>> lists(8);
-        Walk walk{found, lists};
+        Walk walk{found, lists, {}};
         descend(walk, {{origin[0], origin[1], origin[2]}, size, all.data(), static_cast<int>(all.size()), 0, need_seen_ <= 0, false}, 0);
     }
 
@@ -121,6 +166,7 @@ class Carver {
     struct Walk {
         Found& found;
         std::vector<std::vector<uint16_t>>& lists;  ///< active views, one list a level
+        std::vector<float> far_px;                  ///< of the views in the last list made (NodeAnswers::far_px)
     };
 
     void descend(Walk& walk, const NodeState& node, size_t level) const {
@@ -145,6 +191,7 @@ class Carver {
         if (walk.lists.size() <= level) walk.lists.resize(level + 1);
         std::vector<uint16_t>& list = walk.lists[level];
         list.clear();
+        walk.far_px.clear();
         walk.found.node_tests += static_cast<size_t>(node.view_count);
         for (int i = 0; i < node.view_count; ++i) {
             const CarveView& view = views_[node.views[i]];
@@ -153,6 +200,7 @@ class Carver {
                 if (++state.certain_misses > options_.max_misses) return;
             } else if (answers.hull == NodeAnswer::Mixed) {
                 list.push_back(node.views[i]);
+                walk.far_px.push_back(answers.far_px);
             }
         }
         if (!state.seen) {
@@ -180,7 +228,7 @@ class Carver {
             if (options_.occupancy)
                 ask_leaf_binary(walk.found, state);
             else
-                ask_leaf(walk.found, state);
+                ask_leaf(walk.found, state, walk.far_px);
             return;
         }
         const int half_size = node.size / 2;
@@ -198,25 +246,29 @@ class Carver {
         return options_.lattice.world_from_index(Vec3d(origin[0] + i, origin[1] + j, origin[2] + k));
     }
 
-    void ask_leaf(Found& found, const NodeState& node) const {
+    void ask_leaf(Found& found, const NodeState& node, const std::vector<float>& far_px) const {
         // The rank-th largest value among the views that still matter; certain misses are larger than all.
         const int rank = options_.max_misses - node.certain_misses + 1;
         float largest[kMaxMisses + 1][kLeafVoxels];
         for (int r = 0; r < rank; ++r) std::fill_n(largest[r], kLeafVoxels, -band_f_);
+        float values[kLeafVoxels];
         for (int n = 0; n < node.view_count; ++n) {
-            const CarveView& view = views_[node.views[n]];
-            const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(view, node.origin[0], node.origin[1], node.origin[2]);
-            float smallest = band_f_;
-            for (int i = 0; i < 8; ++i)
-                for (int j = 0; j < 8; ++j)
-                    for (int k = 0; k < 8; ++k) {
-                        const int at = i << 6 | j << 3 | k;
-                        float v = kernel::view_value(view, kernel::voxel_in_camera(to_camera, i, j, k), near_, band_f_);
-                        for (int r = 0; r < rank && v > -band_f_; ++r)
-                            if (v > largest[r][at]) std::swap(v, largest[r][at]);
-                        smallest = kernel::min_f(smallest, largest[rank - 1][at]);
-                    }
+            view_values(views_[node.views[n]], node, far_px[static_cast<size_t>(n)], values);
             found.voxel_lookups += kLeafVoxels;
+            float smallest = band_f_;
+            if (rank == 1) {
+                for (int at = 0; at < kLeafVoxels; ++at) {
+                    largest[0][at] = kernel::max_f(largest[0][at], values[at]);
+                    smallest = kernel::min_f(smallest, largest[0][at]);
+                }
+            } else {
+                for (int at = 0; at < kLeafVoxels; ++at) {
+                    float v = values[at];
+                    for (int r = 0; r < rank && v > -band_f_; ++r)
+                        if (v > largest[r][at]) std::swap(v, largest[r][at]);
+                    smallest = kernel::min_f(smallest, largest[rank - 1][at]);
+                }
+            }
             if (smallest >= band_f_) return;  // outside everywhere already
         }
         float* value = largest[rank - 1];
@@ -251,6 +303,29 @@ class Carver {
                     }
                 }
         if (any) found.leaves.push_back(std::move(leaf));
+    }
+
+    /// kernel::view_value of all voxels of a leaf, the same bits.
+    void view_values(const CarveView& view, const NodeState& node, float far_px, float* values) const {
+        const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(view, node.origin[0], node.origin[1], node.origin[2]);
+        if (far_px <= 0) {
+            for (int at = 0; at < kLeafVoxels; ++at)
+                values[at] = kernel::view_value(view, kernel::voxel_in_camera(to_camera, at >> 6, (at >> 3) & 7, at & 7), near_, band_f_);
+            return;
+        }
+        LeafSamples samples;
+        sample_leaf(view, to_camera, samples);
+        for (int at = 0; at < kLeafVoxels; ++at) {
+            const float s = samples.s_px[at];
+            if (s >= far_px) {
+                values[at] = band_f_;
+            } else if (s <= -far_px) {
+                values[at] = -band_f_;
+            } else {
+                const kernel::Projected p = kernel::project(view, {samples.x[at], samples.y[at], samples.z[at]});
+                values[at] = kernel::silhouette_value(view, p, samples.z[at], band_f_);
+            }
+        }
     }
 
     /// v = max(v, the need_seen-th smallest distance to the views' frames).
@@ -340,6 +415,7 @@ void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o)
     if (dims.maxCoeff() > 1e6) throw UsageError("carve: " + std::to_string(dims.maxCoeff()) + " voxels along one side; at most 1000000");
     for (const CarveInput& i : inputs) {
         const Intrinsics& k = i.camera.intrinsics;
+        if (i.silhouette_px.pixels() > 0x7fffffff) throw UsageError("carve: view " + i.name + ": more than 2^31 pixels");
         if (i.silhouette_px.width != k.width_px || i.silhouette_px.height != k.height_px)
             throw UsageError("carve: view " + i.name + ": the distance field has not the camera's size");
     }

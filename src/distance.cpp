@@ -14,72 +14,75 @@ namespace {
 
 using namespace kernel;
 
-/// Distance in 1/64 px along the second axis from every lattice point to the nearest crossing in its line,
-/// stored line by line: `lines` lines of `length` points, value(line, at) read through the accessor.
-template <class Value>
-std::vector<int32_t> line_distances(int lines, int length, const Value& value) {
-    std::vector<int32_t> out(static_cast<size_t>(lines) * static_cast<size_t>(length), kNoSite);
-    for (int line = 0; line < lines; ++line) {
-        int32_t* d = out.data() + static_cast<size_t>(line) * static_cast<size_t>(length);
-        bool any = false;
-        int32_t run = kNoSite;
-        uint8_t before = value(line, 0);
-        d[0] = kNoSite;
-        for (int at = 1; at < length; ++at) {
-            const uint8_t here = value(line, at);
-            if (run < kNoSite) run += kSubpixel;
-            if (is_object(before) != is_object(here)) {
-                const int t = crossing(before, here);
-                run = kSubpixel - t;
-                d[at - 1] = std::min(d[at - 1], t);
-                any = true;
-            }
-            d[at] = run;
-            before = here;
-        }
-        if (!any) continue;
-        for (int at = length - 2; at >= 0; --at)
-            if (d[at + 1] < kNoSite) d[at] = std::min(d[at], d[at + 1] + kSubpixel);
-    }
-    return out;
-}
+constexpr int64_t kFar = INT64_MAX;
 
-/// Lower envelope across lines: for every point of the first axis, min over lines of (64 (x - line))^2 + d^2.
-/// Takes the smaller of that and what `squared(x, y)` already holds.
-template <class Get, class Put>
-void across_lines(const std::vector<int32_t>& d, int lines, int length, const Get& get, const Put& put) {
+/// Squared distance, in (1/64 px)^2, from every pixel centre to the nearest crossing on a vertical edge; kFar where
+/// there is none. Row-major. Two passes: along columns, all columns of a row at once, then across them.
+std::vector<int64_t> vertical_crossings(ImageView<uint8_t> m) {
+    const auto width = static_cast<size_t>(m.width), height = static_cast<size_t>(m.height);
+    std::vector<int32_t> along(width * height, kNoSite);
+    for (size_t y = 1; y < height; ++y) {
+        const uint8_t *above = m.data + (y - 1) * width, *here = above + width;
+        int32_t *d_above = along.data() + (y - 1) * width, *d_here = d_above + width;
+        for (size_t x = 0; x < width; ++x) {
+            d_here[x] = std::min(d_above[x] + kSubpixel, kNoSite);
+            if (is_object(above[x]) != is_object(here[x])) {
+                const int t = crossing(above[x], here[x]);
+                d_above[x] = std::min(d_above[x], t);
+                d_here[x] = kSubpixel - t;
+            }
+        }
+    }
+    for (size_t y = height - 1; y-- > 0;) {
+        const int32_t* below = along.data() + (y + 1) * width;
+        int32_t* here = along.data() + y * width;
+        for (size_t x = 0; x < width; ++x) here[x] = std::min(here[x], std::min(below[x] + kSubpixel, kNoSite));
+    }
+
+    // Lower envelope of the parabolas (64 (x - site))^2 + along^2 of each row.
     const int64_t unit2 = static_cast<int64_t>(kSubpixel) * kSubpixel;
-    std::vector<int> site(static_cast<size_t>(lines));
-    std::vector<int64_t> start(static_cast<size_t>(lines)), height2(static_cast<size_t>(lines));
-    for (int at = 0; at < length; ++at) {
+    std::vector<int64_t> squared(width * height, kFar), start(width), height2(width);
+    std::vector<int> site(width);
+    for (size_t y = 0; y < height; ++y) {
+        const int32_t* d = along.data() + y * width;
         int top = -1;
-        for (int line = 0; line < lines; ++line) {
-            const int32_t g = d[static_cast<size_t>(line) * static_cast<size_t>(length) + static_cast<size_t>(at)];
-            if (g >= kNoSite) continue;
-            const int64_t g2 = static_cast<int64_t>(g) * g;
+        for (int x = 0; x < m.width; ++x) {
+            if (d[x] >= kNoSite) continue;
+            const int64_t d2 = static_cast<int64_t>(d[x]) * d[x];
             int64_t from = 0;
             while (top >= 0) {
                 const auto t = static_cast<size_t>(top);
-                from = parabola_switch(site[t], height2[t], line, g2) + 1;
+                from = parabola_switch(site[t], height2[t], x, d2) + 1;
                 if (from > start[t]) break;
                 --top;
             }
             if (top < 0) from = 0;
-            if (from < lines) {
-                ++top;
-                site[static_cast<size_t>(top)] = line;
-                height2[static_cast<size_t>(top)] = g2;
-                start[static_cast<size_t>(top)] = from;
-            }
+            if (from >= m.width) continue;
+            ++top;
+            site[static_cast<size_t>(top)] = x;
+            height2[static_cast<size_t>(top)] = d2;
+            start[static_cast<size_t>(top)] = from;
         }
         if (top < 0) continue;
-        for (int x = lines - 1; x >= 0; --x) {
+        int64_t* row = squared.data() + y * width;
+        for (int64_t x = m.width - 1; x >= 0; --x) {
             while (start[static_cast<size_t>(top)] > x) --top;
             const int64_t dx = x - site[static_cast<size_t>(top)];
-            const int64_t squared = unit2 * dx * dx + height2[static_cast<size_t>(top)];
-            if (squared < get(x, at)) put(x, at, squared);
+            row[x] = unit2 * dx * dx + height2[static_cast<size_t>(top)];
         }
     }
+    return squared;
+}
+
+/// Rows become columns, in tiles that fit the cache.
+Image8 transposed(ImageView<uint8_t> m) {
+    constexpr int kTile = 32;
+    Image8 out(m.height, m.width);
+    for (int y0 = 0; y0 < m.height; y0 += kTile)
+        for (int x0 = 0; x0 < m.width; x0 += kTile)
+            for (int x = x0; x < std::min(x0 + kTile, m.width); ++x)
+                for (int y = y0; y < std::min(y0 + kTile, m.height); ++y) out.at(y, x) = m.at(x, y);
+    return out;
 }
 
 }  // namespace
@@ -88,20 +91,20 @@ ImageF signed_distance(ImageView<uint8_t> m) {
     if (m.width < 2 || m.height < 2)
         throw UsageError("a mask of " + std::to_string(m.width) + " x " + std::to_string(m.height) + " pixels has no contour; 2 x 2 is the least");
     const int width = m.width, height = m.height;
-    constexpr int64_t kFar = INT64_MAX;
-    std::vector<int64_t> squared(m.pixels(), kFar);
-    const auto index = [&](int x, int y) { return static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x); };
-    // Crossings on vertical edges: lines are columns.
-    across_lines(line_distances(width, height, [&](int x, int y) { return m.at(x, y); }), width, height,
-                 [&](int x, int y) { return squared[index(x, y)]; }, [&](int x, int y, int64_t v) { squared[index(x, y)] = v; });
-    // Crossings on horizontal edges: lines are rows.
-    across_lines(line_distances(height, width, [&](int y, int x) { return m.at(x, y); }), height, width,
-                 [&](int y, int x) { return squared[index(x, y)]; }, [&](int y, int x, int64_t v) { squared[index(x, y)] = v; });
-
+    // Crossings on horizontal edges are crossings on vertical edges of the transposed mask.
+    const std::vector<int64_t> vertical = vertical_crossings(m);
+    const std::vector<int64_t> horizontal = vertical_crossings(transposed(m));
     ImageF out(width, height);
     const auto none = static_cast<float>(width + height);
-    for (size_t i = 0; i < squared.size(); ++i)
-        out.data[i] = squared[i] == kFar ? none : static_cast<float>(std::sqrt(static_cast<double>(squared[i])) / kSubpixel);
+    constexpr int kTile = 32;
+    for (int y0 = 0; y0 < height; y0 += kTile)
+        for (int x0 = 0; x0 < width; x0 += kTile)
+            for (int y = y0; y < std::min(y0 + kTile, height); ++y)
+                for (int x = x0; x < std::min(x0 + kTile, width); ++x) {
+                    const int64_t squared = std::min(vertical[static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x)],
+                                                     horizontal[static_cast<size_t>(x) * static_cast<size_t>(height) + static_cast<size_t>(y)]);
+                    out.at(x, y) = squared == kFar ? none : static_cast<float>(std::sqrt(static_cast<double>(squared)) / kSubpixel);
+                }
 
     for (int y = 0; y + 1 < height; ++y)
         for (int x = 0; x + 1 < width; ++x) {

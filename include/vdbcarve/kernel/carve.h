@@ -278,6 +278,9 @@ enum class NodeAnswer : int {
 struct NodeAnswers {
     NodeAnswer hull;    ///< bounds view_value
     NodeAnswer unseen;  ///< bounds unseen_value (Out: unseen everywhere; In: well seen everywhere)
+    /// Positive: the whole node lies so deep in frame and before the camera that neither changes view_value,
+    /// and a field value of at least this many pixels means a view_value of the whole band. 0: cannot say.
+    float far_px;
 };
 
 /// Bounds view_value and unseen_value over a node. `band` in world units (0 for occupancy).
@@ -289,9 +292,9 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
         spread_px = view.sigma_max * ball.radius;
         band_px = view.sigma_max * band;
     } else {
-        if (ball.z + ball.radius <= -band) return {NodeAnswer::Out, NodeAnswer::Out};
+        if (ball.z + ball.radius <= -band) return {NodeAnswer::Out, NodeAnswer::Out, 0.f};
         // The camera plane or the near plane cuts the ball, or -depth itself is within the band.
-        if (ball.z - ball.radius <= near_depth + band) return {NodeAnswer::Mixed, NodeAnswer::Mixed};
+        if (ball.z - ball.radius <= near_depth + band) return {NodeAnswer::Mixed, NodeAnswer::Mixed, 0.f};
         const double mx = ball.x / ball.z, my = ball.y / ball.z;
         u = view.fx * mx + view.skew * my + view.cx;
         v = view.fy * my + view.cy;
@@ -317,7 +320,9 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
 
     const double field_reach = spread_px + band_px + kFieldSlop_px;
     const double frame_reach = spread_px + band_px + kFrameSlop_px;
-    NodeAnswers out{NodeAnswer::Mixed, NodeAnswer::Mixed};
+    NodeAnswers out{NodeAnswer::Mixed, NodeAnswer::Mixed, 0.f};
+    // 1.001 covers what beyond_band adds against rounding.
+    if (-frame_px > frame_reach && band > 0) out.far_px = static_cast<float>(band_px * 1.001);
     if (view.outside == Outside::Unknown) {
         if (s_px > field_reach && -frame_px > frame_reach)
             out.hull = NodeAnswer::Out;
