@@ -93,40 +93,37 @@ struct NodeState {
 #define VDBCARVE_VECTOR_CLONES
 #endif
 
-struct LeafSamples {
-    float x[kLeafVoxels], y[kLeafVoxels], z[kLeafVoxels];  ///< camera space
-    float s_px[kLeafVoxels];                               ///< field, interpolated
-};
-
-/// Field values at the voxels of a leaf that lies whole in frame and before the camera. Written as plain loops over
-/// arrays, so that the compiler makes vectors and gathers of them; the arithmetic is that of kernel::project,
-/// fetch_patch and interpolate.
+/// kernel::silhouette_value at all voxels of a leaf: one loop a step, so that all but the look-ups become vectors.
 VDBCARVE_VECTOR_CLONES
-void sample_leaf(const CarveView& view, const kernel::LeafToCamera& leaf, LeafSamples& out) {
-    for (int i = 0; i < 8; ++i)
-        for (int j = 0; j < 8; ++j)
-            for (int k = 0; k < 8; ++k) {
-                const kernel::Vec3 p = kernel::voxel_in_camera(leaf, i, j, k);
-                const int at = i << 6 | j << 3 | k;
-                out.x[at] = p.x;
-                out.y[at] = p.y;
-                out.z[at] = p.z;
-            }
-    const float fx = view.fx, skew = view.skew, fy = view.fy, cx = view.cx, cy = view.cy;
-    const float right = static_cast<float>(view.width_px - 1), bottom = static_cast<float>(view.height_px - 1);
-    const int last_x = view.width_px - 2, last_y = view.height_px - 2, width = view.width_px;
-    const float* field = view.silhouette_px;
-    const bool orthographic = view.orthographic != 0;
+void leaf_silhouette_values(const CarveView& view, const kernel::LeafToCamera& leaf, float band, float* __restrict values) {
+    float x[kLeafVoxels], y[kLeafVoxels], z[kLeafVoxels], u[kLeafVoxels], v[kLeafVoxels];
+    float s00[kLeafVoxels], s10[kLeafVoxels], s01[kLeafVoxels], s11[kLeafVoxels];
+    const CarveView c = view;  // a copy: nothing the loops write can change it
     for (int at = 0; at < kLeafVoxels; ++at) {
-        const float inverse_depth = orthographic ? 1.f : 1.f / out.z[at];
-        const float mx = out.x[at] * inverse_depth, my = out.y[at] * inverse_depth;
-        const float px = kernel::clamp_f(fx * mx + skew * my + cx - 0.5f, 0.f, right), py = kernel::clamp_f(fy * my + cy - 0.5f, 0.f, bottom);
-        const int ix = std::min(static_cast<int>(px), last_x), iy = std::min(static_cast<int>(py), last_y);
-        const float a = px - static_cast<float>(ix), b = py - static_cast<float>(iy);
-        const int texel = iy * width + ix;  // check_options keeps images below 2^31 pixels
-        const float s00 = field[texel], s10 = field[texel + 1], s01 = field[texel + width], s11 = field[texel + width + 1];
-        const float top = s00 + a * (s10 - s00), low = s01 + a * (s11 - s01);
-        out.s_px[at] = top + b * (low - top);
+        const kernel::Vec3 p = kernel::voxel_in_camera(leaf, at >> 6, (at >> 3) & 7, at & 7);
+        x[at] = p.x;
+        y[at] = p.y;
+        z[at] = p.z;
+    }
+    for (int at = 0; at < kLeafVoxels; ++at) {
+        const kernel::Projected p = kernel::project(c, {x[at], y[at], z[at]});
+        x[at] = p.mx;
+        y[at] = p.my;
+        u[at] = p.u;
+        v[at] = p.v;
+    }
+    for (int at = 0; at < kLeafVoxels; ++at) {
+        const kernel::Patch p = kernel::fetch_patch(c.silhouette_px, c.width_px, c.height_px, u[at], v[at]);
+        s00[at] = p.s00;
+        s10[at] = p.s10;
+        s01[at] = p.s01;
+        s11[at] = p.s11;
+        u[at] = p.a;
+        v[at] = p.b;
+    }
+    for (int at = 0; at < kLeafVoxels; ++at) {
+        const kernel::Patch patch{s00[at], s10[at], s01[at], s11[at], u[at], v[at]};
+        values[at] = kernel::patch_value(c, patch, {x[at], y[at], 0.f, 0.f}, z[at], band);
     }
 }
 
@@ -166,7 +163,7 @@ class Carver {
     struct Walk {
         Found& found;
         std::vector<std::vector<uint16_t>>& lists;  ///< active views, one list a level
-        std::vector<float> far_px;                  ///< of the views in the last list made (NodeAnswers::far_px)
+        std::vector<char> clear_of_frame;           ///< of the views in the last list made (NodeAnswers)
     };
 
     void descend(Walk& walk, const NodeState& node, size_t level) const {
@@ -191,7 +188,7 @@ class Carver {
         if (walk.lists.size() <= level) walk.lists.resize(level + 1);
         std::vector<uint16_t>& list = walk.lists[level];
         list.clear();
-        walk.far_px.clear();
+        walk.clear_of_frame.clear();
         walk.found.node_tests += static_cast<size_t>(node.view_count);
         for (int i = 0; i < node.view_count; ++i) {
             const CarveView& view = views_[node.views[i]];
@@ -200,7 +197,7 @@ class Carver {
                 if (++state.certain_misses > options_.max_misses) return;
             } else if (answers.hull == NodeAnswer::Mixed) {
                 list.push_back(node.views[i]);
-                walk.far_px.push_back(answers.far_px);
+                walk.clear_of_frame.push_back(answers.clear_of_frame);
             }
         }
         if (!state.seen) {
@@ -228,7 +225,7 @@ class Carver {
             if (options_.occupancy)
                 ask_leaf_binary(walk.found, state);
             else
-                ask_leaf(walk.found, state, walk.far_px);
+                ask_leaf(walk.found, state, walk.clear_of_frame);
             return;
         }
         const int half_size = node.size / 2;
@@ -246,14 +243,14 @@ class Carver {
         return options_.lattice.world_from_index(Vec3d(origin[0] + i, origin[1] + j, origin[2] + k));
     }
 
-    void ask_leaf(Found& found, const NodeState& node, const std::vector<float>& far_px) const {
+    void ask_leaf(Found& found, const NodeState& node, const std::vector<char>& clear_of_frame) const {
         // The rank-th largest value among the views that still matter; certain misses are larger than all.
         const int rank = options_.max_misses - node.certain_misses + 1;
         float largest[kMaxMisses + 1][kLeafVoxels];
         for (int r = 0; r < rank; ++r) std::fill_n(largest[r], kLeafVoxels, -band_f_);
         float values[kLeafVoxels];
         for (int n = 0; n < node.view_count; ++n) {
-            view_values(views_[node.views[n]], node, far_px[static_cast<size_t>(n)], values);
+            view_values(views_[node.views[n]], node, clear_of_frame[static_cast<size_t>(n)] != 0, values);
             found.voxel_lookups += kLeafVoxels;
             float smallest = band_f_;
             if (rank == 1) {
@@ -305,27 +302,15 @@ class Carver {
         if (any) found.leaves.push_back(std::move(leaf));
     }
 
-    /// kernel::view_value of all voxels of a leaf, the same bits.
-    void view_values(const CarveView& view, const NodeState& node, float far_px, float* values) const {
+    /// kernel::view_value of all voxels of a leaf.
+    void view_values(const CarveView& view, const NodeState& node, bool clear_of_frame, float* values) const {
         const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(view, node.origin[0], node.origin[1], node.origin[2]);
-        if (far_px <= 0) {
-            for (int at = 0; at < kLeafVoxels; ++at)
-                values[at] = kernel::view_value(view, kernel::voxel_in_camera(to_camera, at >> 6, (at >> 3) & 7, at & 7), near_, band_f_);
+        if (clear_of_frame) {
+            leaf_silhouette_values(view, to_camera, band_f_, values);
             return;
         }
-        LeafSamples samples;
-        sample_leaf(view, to_camera, samples);
-        for (int at = 0; at < kLeafVoxels; ++at) {
-            const float s = samples.s_px[at];
-            if (s >= far_px) {
-                values[at] = band_f_;
-            } else if (s <= -far_px) {
-                values[at] = -band_f_;
-            } else {
-                const kernel::Projected p = kernel::project(view, {samples.x[at], samples.y[at], samples.z[at]});
-                values[at] = kernel::silhouette_value(view, p, samples.z[at], band_f_);
-            }
-        }
+        for (int at = 0; at < kLeafVoxels; ++at)
+            values[at] = kernel::view_value(view, kernel::voxel_in_camera(to_camera, at >> 6, (at >> 3) & 7, at & 7), near_, band_f_);
     }
 
     /// v = max(v, the need_seen-th smallest distance to the views' frames).

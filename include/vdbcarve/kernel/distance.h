@@ -37,7 +37,8 @@ VDBCARVE_HD int crossing(uint8_t first, uint8_t second) {
 /// Floor of a quotient of integers below 2^52 in magnitude, denominator positive: the correctly rounded
 /// double quotient cannot reach the next integer, so one division replaces a slow 64-bit one.
 VDBCARVE_HD int64_t floor_divide(int64_t numerator, int64_t denominator) {
-    return static_cast<int64_t>(std::floor(static_cast<double>(numerator) / static_cast<double>(denominator)));
+    const auto towards_zero = static_cast<int64_t>(static_cast<double>(numerator) / static_cast<double>(denominator));
+    return towards_zero * denominator > numerator ? towards_zero - 1 : towards_zero;
 }
 
 /// First column at which the parabola of `right` is strictly lower than that of `left` (left < right), minus one.
