@@ -14,6 +14,7 @@ namespace {
 struct Raw {
     ReconstructOptions options;
     std::string bounds, grid, origin, threshold = "auto";
+    bool all_components = false;
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
 
@@ -41,6 +42,21 @@ void read_raw(Raw& raw) {
             throw UsageError("--threshold " + raw.threshold + ": must be auto, otsu or within 0..255");
     }
     o.views.allow_missing = o.mask.allow_missing;
+    o.mask.threshold.largest_component = !raw.all_components;
+}
+
+/// The effective configuration of one command: everything that has a value, defaults included.
+std::string config_of(const CLI::App& program, const std::string& command) {
+    std::istringstream all(program.config_to_str(true, false));
+    std::string out, line;
+    while (std::getline(all, line)) {
+        const size_t equals = line.find('=');
+        if (line.rfind(command + ".", 0) != 0 || equals == std::string::npos) continue;
+        const std::string value = line.substr(equals + 1);
+        // CLI11 spells what was not given as "" or, of a flag, false; reading that back would not parse.
+        if (value != "\"\"" && value != "false") out += line + "\n";
+    }
+    return out;
 }
 
 Command add(CLI::App& program, const char* name, const char* what, LastStage last) {
@@ -71,13 +87,13 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         ->transform(CLI::CheckedTransformer(channels, CLI::ignore_case))
         ->group("Masks");
     app->add_flag("--threshold-invert", o.mask.threshold.invert, "the object is what is darker")->group("Masks");
-    app->add_option("--mask-open", o.mask.threshold.open_px, "opening of threshold masks, px")->check(CLI::Range(0, 200))->group("Masks");
-    app->add_option("--mask-close", o.mask.threshold.close_px, "closing of threshold masks, px")->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-open", o.mask.threshold.open_px, "opening of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-close", o.mask.threshold.close_px, "closing of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
     app->add_option("--mask-fill-holes", o.mask.threshold.fill_holes, "fill holes up to this share of the object's area (1: all)")
         ->capture_default_str()
         ->check(CLI::Range(0.0, 1.0))
         ->group("Masks");
-    app->add_flag("--mask-largest,!--mask-all-components", o.mask.threshold.largest_component, "keep only the largest piece of a threshold mask (default)")->group("Masks");
+    app->add_flag("--mask-all-components", raw->all_components, "keep every piece of a threshold mask, not only the largest")->group("Masks");
 
     if (last != LastStage::Mask) {
         app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(CLI::PositiveNumber)->group("Grid");
@@ -85,20 +101,20 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option("--grid", raw->grid, "voxels along x, y and z, like 1024x512x1024")->group("Grid");
         app->add_option("--bounds", raw->bounds, "xmin,ymin,zmin,xmax,ymax,zmax: clip to this box (default: found from the silhouettes)")->group("Grid");
         app->add_option("--origin", raw->origin, "x,y,z of the voxel lattice's corner (default 0,0,0)")->group("Grid");
-        app->add_option("--max-misses", o.max_misses, "so many views may show background and a voxel stays")->check(CLI::Range(0, 15))->group("Carving");
+        app->add_option("--max-misses", o.max_misses, "so many views may show background and a voxel stays")->capture_default_str()->check(CLI::Range(0, 15))->group("Carving");
         app->add_option("--min-seen", o.min_seen, "share of the views that must have a point in frame")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Carving");
         static const std::map<std::string, bool> outside{{"unknown", false}, {"background", true}};
         app->add_option("--outside", o.outside_is_background, "what lies outside an image: unknown (default) or background (the paper)")
             ->transform(CLI::CheckedTransformer(outside, CLI::ignore_case))
             ->group("Carving");
-        app->add_option("--silhouette-offset", o.distance.silhouette_offset_px, "grow silhouettes by so many pixels")->group("Carving");
+        app->add_option("--silhouette-offset", o.distance.silhouette_offset_px, "grow silhouettes by so many pixels")->capture_default_str()->group("Carving");
         app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
         static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
         app->add_option("--backend", o.backend, "auto, cpu or cuda")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case))->group("Carving");
         app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
     }
     if (last == LastStage::Export) {
-        app->add_option("--adaptivity", o.adaptivity, "0: uniform mesh; up to 1: larger faces where flat")->check(CLI::Range(0.0, 1.0))->group("Result");
+        app->add_option("--adaptivity", o.adaptivity, "0: uniform mesh; up to 1: larger faces where flat")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Result");
         app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,stl")->delimiter(',')->capture_default_str()->group("Result");
     }
     app->add_option("--up", o.views.up, "world up axis: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group("Result");
@@ -114,7 +130,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     return {app, [raw, app, &program](Common& common, Progress& progress) {
                 read_raw(*raw);
                 ReconstructOptions& options = raw->options;
-                options.config_text = program.config_to_str(false, false);
+                options.config_text = config_of(program, app->get_name());
                 const bool json = common.json == "-";
                 options.on_stage = [&](const std::string& event) {
                     if (json) std::cout << event << std::endl;
