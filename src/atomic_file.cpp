@@ -22,11 +22,14 @@ AtomicFile::~AtomicFile() {
     fs::remove(temporary_, ignored);
 }
 
+void AtomicFile::close() {
+    if (!out_.is_open()) return;
+    out_.close();
+    if (!out_) throw OutputError(file_.string() + ": writing failed (disk full?)");
+}
+
 void AtomicFile::commit() {
-    if (out_.is_open()) {
-        out_.close();
-        if (!out_) throw OutputError(file_.string() + ": writing failed (disk full?)");
-    }
+    close();
     std::error_code error;
     fs::rename(temporary_, file_, error);
     if (error) throw OutputError(file_.string() + ": cannot be put in place: " + error.message());
@@ -49,11 +52,12 @@ void make_folder(const fs::path& folder) {
 
 void place_copy(const fs::path& source, const fs::path& target) {
     // A copy, not a link: whoever edits the final file in place must not reach the stage's own.
-    const fs::path temporary = target.parent_path() / ("." + target.filename().string() + ".part" + std::to_string(getpid()));
+    AtomicFile out(target);
+    out.close();
     std::error_code error;
-    fs::copy_file(source, temporary, fs::copy_options::overwrite_existing, error);
-    if (!error) fs::rename(temporary, target, error);
+    fs::copy_file(source, out.temporary(), fs::copy_options::overwrite_existing, error);
     if (error) throw OutputError(target.string() + ": cannot be written: " + error.message());
+    out.commit();
 }
 
 }  // namespace vdbcarve

@@ -19,6 +19,8 @@ class AtomicFile {
 
     std::ostream& stream() { return out_; }
     const std::filesystem::path& temporary() const { return temporary_; }
+    /// Closes the stream and checks that everything reached the file.
+    void close();
     /// Closes the stream if it is open, checks it, and renames.
     void commit();
 

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <set>
 
 namespace vdbcarve {
 
@@ -217,9 +218,12 @@ class Carver {
         // No view can still bring the node past the allowed misses, nor can the frame or the box.
         if (state.seen && state.in_box && state.certain_misses + state.view_count <= options_.max_misses) state.view_count = 0;
         if (state.seen && state.in_box && state.view_count == 0) {
-            if (options_.occupancy)
-                walk.found.inside.emplace_back(Coord(node.origin[0], node.origin[1], node.origin[2]), node.size);
-            return;
+            // A node that reaches past the brick is cut up further; leaves are clipped voxel by voxel.
+            const bool whole = !options_.occupancy || in_range(node);
+            if (whole) {
+                if (options_.occupancy) walk.found.inside.emplace_back(Coord(node.origin[0], node.origin[1], node.origin[2]), node.size);
+                return;
+            }
         }
         if (node.size == 8) {
             if (options_.occupancy)
@@ -355,17 +359,19 @@ class Carver {
         bool any = false;
         for (int at = 0; at < kLeafVoxels; ++at) {
             if (misses[at] > options_.max_misses || (!node.seen && seen[at] < need_seen_)) continue;
-            if (!node.in_box && !in_range(node.origin, at)) continue;
+            if (!in_range(node.origin, at)) continue;
             leaf->setValueOn(static_cast<openvdb::Index>(at));
             any = true;
         }
         if (any) found.mask_leaves.push_back(std::move(leaf));
     }
 
-    bool in_range(const int origin[3], int at) const {
+    bool in_range(const NodeState& node) const { return in_range(node.origin, 0) && in_range(node.origin, kLeafVoxels - 1, node.size - 8); }
+    /// Voxel `at` of the leaf at origin + shift lies in the range.
+    bool in_range(const int origin[3], int at, int shift = 0) const {
         const int ijk[3] = {at >> 6, (at >> 3) & 7, at & 7};
         for (int a = 0; a < 3; ++a) {
-            const int x = origin[a] + ijk[a];
+            const int x = origin[a] + ijk[a] + shift;
             if (x < range_.min[static_cast<size_t>(a)] || x >= range_.max[static_cast<size_t>(a)]) return false;
         }
         return true;
@@ -396,8 +402,12 @@ void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o)
         for (size_t a = 0; a < 3; ++a)
             need(o.brick->min[a] % 8 == 0 && o.brick->max[a] % 8 == 0, "the limits of a brick must be multiples of 8");
     if (!bad.empty()) throw UsageError("carve: " + bad);
+    if (!o.lattice.origin_world.allFinite()) throw UsageError("carve: the origin is not finite");
     const Vec3d dims = o.bounds_world.sizes() / o.lattice.voxel_size;
-    if (dims.maxCoeff() > 1e6) throw UsageError("carve: " + std::to_string(dims.maxCoeff()) + " voxels along one side; at most 1000000");
+    if (!(dims.maxCoeff() <= 65536))
+        throw UsageError("carve: " + std::to_string(std::llround(dims.maxCoeff())) + " voxels along one side, at most 65536. Remedy: larger voxels");
+    const Vec3d far = o.lattice.index_from_world(o.bounds_world.min()).cwiseAbs().cwiseMax(o.lattice.index_from_world(o.bounds_world.max()).cwiseAbs());
+    if (far.maxCoeff() > 1e9) throw UsageError("carve: the bounds are " + std::to_string(far.maxCoeff()) + " voxels from the origin, at most 1e9. Remedy: --origin near the object");
     for (const CarveInput& i : inputs) {
         const Intrinsics& k = i.camera.intrinsics;
         if (i.silhouette_px.pixels() > 0x7fffffff) throw UsageError("carve: view " + i.name + ": more than 2^31 pixels");
@@ -455,14 +465,14 @@ void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o)
     for (size_t v = 0; v < n; ++v) order[v] = v;
     std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return tally.blame[a] > tally.blame[b]; });
     std::string names;
-    for (size_t i = 0; i < n && i < 5 && tally.blame[order[i]] * 5 >= tally.points; ++i)
+    for (size_t i = 0; i < n && i < 5 && tally.blame[order[i]] > 0 && tally.blame[order[i]] * 5 >= tally.blame[order[0]]; ++i)
         names += (i ? ", " : "") + inputs[order[i]].name + " (" + std::to_string(100 * tally.blame[order[i]] / tally.points) + " %)";
     if (tally.fewest <= options.max_misses)
         throw ContradictionError("the hull is thinner than the voxels and got lost. Remedy: a finer --resolution, or tighter --bounds");
     throw ContradictionError("the hull is empty: every point in the bounds is background in at least " + std::to_string(tally.fewest) + " of " +
                              std::to_string(n) + " views. Where it is fewest, these views carve (share of such points): " + names +
-                             ". Remedy: look at their masks and cameras, leave them out, or allow --max-misses " + std::to_string(std::min(tally.fewest, kMaxMisses)) +
-                             "; if those masks mean 'do not use', give them as --ignore-masks");
+                             ". Remedy: look at their masks and cameras, leave them out" +
+                             (tally.fewest <= kMaxMisses ? ", or allow --max-misses " + std::to_string(tally.fewest) : std::string()) + "; if those masks mean 'do not use', give them as --ignore-masks");
 }
 
 }  // namespace
@@ -550,19 +560,21 @@ openvdb::FloatGrid::Ptr merge_bricks(const std::vector<openvdb::FloatGrid::Ptr>&
     out->setTransform(first.transform().copy());
     out->setName(first.getName());
     out->setGridClass(openvdb::GRID_LEVEL_SET);
-    std::vector<Leaf*> leaves;
+    std::set<Coord> origins;
     for (const auto& brick : bricks) {
         if (brick->transform() != first.transform() || brick->background() != first.background())
             throw UsageError("merge_bricks: the bricks do not share one lattice");
+        for (auto leaf = brick->tree().cbeginLeaf(); leaf; ++leaf)
+            if (!origins.insert(leaf->origin()).second) throw UsageError("merge_bricks: two bricks overlap");
+    }
+    std::vector<Leaf*> leaves;
+    for (const auto& brick : bricks) {
         brick->tree().stealNodes(leaves);
         brick->clear();
     }
     // The order of insertion decides the layout of nothing but the node pool; sort for the same bits.
     std::sort(leaves.begin(), leaves.end(), [](const Leaf* a, const Leaf* b) { return a->origin() < b->origin(); });
-    for (size_t i = 0; i < leaves.size(); ++i) {
-        if (i && leaves[i]->origin() == leaves[i - 1]->origin()) throw UsageError("merge_bricks: two bricks overlap");
-        out->tree().addLeaf(leaves[i]);
-    }
+    for (Leaf* leaf : leaves) out->tree().addLeaf(leaf);
     openvdb::tools::signedFloodFill(out->tree());
     return out;
 }

@@ -54,6 +54,7 @@ json scene_info(const fs::path& scene, const fs::path& cameras, Progress& progre
     options.scene = scene;
     options.cameras = cameras;
     options.accept_non_metric = true;
+    options.cameras_only = true;
     const Views views = load_views(options, progress);
     json out;
     out["camera_file"] = views.camera_file.string();
@@ -79,7 +80,8 @@ std::string info_json(const fs::path& file, Progress& progress) {
     out["path"] = file.string();
     const std::string ext = file.extension().string();
     if (fs::is_directory(file)) {
-        if (fs::exists(file / "volume.vdb")) out["volume"] = vdb_info(file / "volume.vdb");
+        for (const char* name : {"volume", "hull"})
+            if (fs::exists(file / (std::string(name) + ".vdb"))) out[name] = vdb_info(file / (std::string(name) + ".vdb"));
         if (fs::exists(file / "mesh.ply")) out["mesh"] = mesh_info(file / "mesh.ply");
         if (out.size() == 1) out["scene"] = scene_info(file, {}, progress);
     } else if (ext == ".vdb") {

@@ -29,6 +29,7 @@ struct Imported {
     bool integer_pixel_centres = false;  ///< the format counts the first pixel's centre as (0, 0)
     bool metric = true;
     std::vector<std::string> notes;
+    std::vector<std::string> warnings;
 };
 
 struct Importer {
@@ -45,6 +46,23 @@ bool understands_middlebury(const fs::path& file);
 Imported read_middlebury(const fs::path& file);
 bool understands_projections(const fs::path& file_or_folder);
 Imported read_projections(const fs::path& file_or_folder);
+
+/// The path as given when it is absolute or exists in the scene, else relative to the working folder.
+inline fs::path in_scene(const fs::path& given, const fs::path& scene) {
+    if (given.empty() || given.is_absolute()) return given;
+    return fs::exists(scene / given) ? scene / given : given;
+}
+
+/// A number, all of the word. Throws InputError saying where.
+inline double number_in(const std::string& word, const std::string& where) {
+    try {
+        size_t used = 0;
+        const double value = std::stod(word, &used);  // reads nan and inf too: check_views names them
+        if (used == word.size()) return value;
+    } catch (const std::exception&) {
+    }
+    throw InputError(where + ": '" + word + "' is not a number");
+}
 
 inline std::string read_text(const fs::path& file) {
     std::ifstream in(file, std::ios::binary);

@@ -39,6 +39,7 @@ ColmapCamera make_camera(const fs::path& file, const std::string& model_name, ui
     if (p.size() != model->parameters)
         throw InputError(where + ": model " + model_name + " has " + std::to_string(model->parameters) +
                          " parameters, found " + std::to_string(p.size()));
+    if (width < 0 || height < 0) throw InputError(where + ": the image size does not fit");
     ColmapCamera c;
     Intrinsics& k = c.intrinsics;
     k.width_px = width;
@@ -157,13 +158,9 @@ std::map<uint32_t, ColmapCamera> read_cameras_txt(const fs::path& file) {
         if (!(words >> model >> width >> height))
             throw InputError(where + ": expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS…");
         for (std::string word; words >> word;) {
-            try {
-                p.push_back(std::stod(word));
-            } catch (const std::exception&) {
-                throw InputError(where + ": '" + word + "' is not a number");
-            }
+            p.push_back(number_in(word, where));
         }
-        const auto id = static_cast<uint32_t>(std::stoul(first));
+        const auto id = static_cast<uint32_t>(number_in(first, where));
         out[id] = make_camera(file, model, id, width, height, p);
     }
     return out;
@@ -184,11 +181,7 @@ std::vector<ColmapImage> read_images_txt(const fs::path& file) {
         words >> id;
         for (int i = 0; i < 7; ++i) {
             if (!(words >> word)) throw InputError(where + ": expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
-            try {
-                (i < 4 ? image.q[i] : image.t[i - 4]) = std::stod(word);
-            } catch (const std::exception&) {
-                throw InputError(where + ": '" + word + "' is not a number");
-            }
+            (i < 4 ? image.q[i] : image.t[i - 4]) = number_in(word, where);
         }
         if (!(words >> image.camera_id)) throw InputError(where + ": no camera id");
         std::getline(words >> std::ws, image.name);  // the rest of the line: names may hold spaces

@@ -38,11 +38,7 @@ Imported read_middlebury(const fs::path& file) {
             std::string word;
             if (!(words >> word))
                 throw InputError(where + ": view " + name + " has " + std::to_string(i) + " numbers, 21 expected");
-            try {
-                values[i] = std::stod(word);  // reads nan and inf too: check_views names them
-            } catch (const std::exception&) {
-                throw InputError(where + ": view " + name + ": '" + word + "' is not a number");
-            }
+            values[i] = number_in(word, where + ": view " + name);
         }
         ImportedView v;
         v.view.name = name;

@@ -13,13 +13,7 @@ std::vector<double> numbers_in(const fs::path& file) {
     std::vector<double> out;
     std::string word;
     while (in >> word) {
-        try {
-            size_t used = 0;
-            out.push_back(std::stod(word, &used));
-            if (used != word.size()) throw std::invalid_argument(word);
-        } catch (const std::exception&) {
-            throw InputError(file.string() + ": '" + word + "' is not a number; expected rows of a 3x4 matrix");
-        }
+        out.push_back(number_in(word, file.string() + " (rows of 3x4 matrices)"));
     }
     return out;
 }
@@ -102,7 +96,7 @@ Imported read_projections(const fs::path& candidate) {
                 matrices[i].p.col(2) *= -1;
                 parts[i] = decompose_projection(matrices[i].p);
             }
-            out.notes.push_back("the world of these projection matrices is left-handed (mirrored); z was negated to mirror it back");
+            out.warnings.push_back("the world of these projection matrices is left-handed (mirrored); z was negated to mirror it back");
         }
     } else {
         out.notes.push_back("all optical axes are parallel: whether this world is mirrored cannot be told");

@@ -2,6 +2,7 @@
 // transforms.json (nerfstudio, instant-ngp, NeRF synthetic) and our own cameras.json, which extends it.
 // camera-to-world 4x4 in OpenGL axes (y up, looking along -z); pixel centres at (0.5, 0.5).
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "io_cameras.h"
 
@@ -106,8 +107,24 @@ bool understands_transforms(const fs::path& file) {
     }
 }
 
+namespace {
+
+Imported read_checked(const fs::path& file, const json& top);
+
+}  // namespace
+
 Imported read_transforms(const fs::path& file) {
     const json top = parse(file);
+    try {
+        return read_checked(file, top);
+    } catch (const json::exception& e) {
+        throw InputError(file.string() + ": " + e.what());
+    }
+}
+
+namespace {
+
+Imported read_checked(const fs::path& file, const json& top) {
     Imported out;
     const json* ours = top.contains("vdbcarve") ? &top["vdbcarve"] : nullptr;
     if (ours && ours->value("schema", 0) != 1)
@@ -124,6 +141,8 @@ Imported read_transforms(const fs::path& file) {
         out.up = "";
         out.notes.push_back("applied_transform undone: the world is the one that the cameras were found in");
     }
+    if (!out.up.empty() && out.up != "x" && out.up != "y" && out.up != "z" && out.up != "-x" && out.up != "-y" && out.up != "-z")
+        throw InputError(file.string() + ": 'up' is '" + out.up + "', none of x, y, z, -x, -y, -z");
     if (ours) {
         out.units = ours->value("units", "");
         if (ours->contains("sittings")) {
@@ -182,6 +201,7 @@ Imported read_transforms(const fs::path& file) {
     return out;
 }
 
+}  // namespace
 }  // namespace vdbcarve::io
 
 namespace vdbcarve {
@@ -199,12 +219,16 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
     using nlohmann::json;
     json top;
     json& frames = top["frames"] = json::array();
+    // Base names where they tell the views apart, else the camera file's own names, folders included.
+    std::set<std::string> base_names;
+    for (const View& view : views.views) base_names.insert(std::filesystem::path(view.image_path.empty() ? view.name : view.image_path.string()).filename().string());
+    const bool unique = base_names.size() == views.views.size();
     for (const View& view : views.views) {
         const Intrinsics& k = view.camera.intrinsics;
         json f;
         const auto& path = view.image_path.empty() ? std::filesystem::path(view.name) : view.image_path;
-        f["file_path"] = relative_to.empty() ? path.filename().string()
-                                             : std::filesystem::proximate(path, relative_to).generic_string();
+        if (!relative_to.empty()) f["file_path"] = std::filesystem::proximate(path, relative_to).generic_string();
+        else f["file_path"] = unique ? path.filename().string() : view.name;
         f["fl_x"] = k.fx;
         f["fl_y"] = k.fy;
         f["cx"] = k.cx;

@@ -18,6 +18,14 @@ namespace {
 constexpr std::streamoff kUuidAt = 21;
 constexpr size_t kUuidLength = 36;
 
+/// Writes to a stream of ours, whose state is checked: io::File would not notice a full disk.
+class CheckedArchive : public openvdb::io::Archive {
+  public:
+    void write_to(std::ostream& out, const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& meta) const {
+        Archive::write(out, grids, /*seekable=*/true, meta);
+    }
+};
+
 void replace_uuid(const fs::path& file) {
     std::fstream f(file, std::ios::in | std::ios::out | std::ios::binary);
     char old[kUuidLength] = {};
@@ -51,12 +59,11 @@ void write_vdb(const fs::path& file, const openvdb::GridCPtrVec& grids, const Vd
         meta.insertMeta("views", openvdb::Int32Metadata(static_cast<int>(m.views)));
         meta.insertMeta("voxel_size", openvdb::DoubleMetadata(m.voxel_size));
         if (!m.inputs_sha256.empty()) meta.insertMeta("inputs_sha256", openvdb::StringMetadata(m.inputs_sha256));
-        openvdb::io::File out(target.temporary().string());
-        out.write(grids, meta);
-        out.close();
+        CheckedArchive().write_to(target.stream(), grids, meta);
     } catch (const openvdb::Exception& e) {
         throw OutputError(file.string() + ": cannot be written: " + e.what());
     }
+    target.close();
     replace_uuid(target.temporary());
     target.commit();
 }

@@ -6,13 +6,16 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <opencv2/imgproc.hpp>
 
+#include "io_cameras.h"
 #include "io_image.h"
 
 namespace vdbcarve {
 
 namespace fs = std::filesystem;
+using io::in_scene;
 
 namespace {
 
@@ -163,16 +166,14 @@ bool is_two_level(const Image8& grey) {
 
 fs::path existing(const fs::path& p) { return fs::is_regular_file(p) ? p : fs::path(); }
 
-fs::path in_scene(const fs::path& given, const fs::path& scene) {
-    if (given.empty() || given.is_absolute()) return given;
-    return fs::exists(scene / given) ? scene / given : given;
-}
-
+/// In the view's own subfolder first (masks/cam0/0001.png), then directly; two views that end at one file are
+/// refused in make_masks.
 fs::path mask_in_folder(const fs::path& folder, const View& view) {
-    const fs::path name = fs::path(view.image_path.empty() ? view.name : view.image_path.string()).filename();
-    const std::string file = name.string(), stem = name.stem().string();
-    for (const std::string& candidate : {file + ".png", stem + ".png", stem + "_mask.png", stem + ".mask.png", file + ".mask.png", file})
-        if (fs::path p = existing(folder / candidate); !p.empty()) return p;
+    const fs::path image(view.image_path.empty() ? view.name : view.image_path.string());
+    const std::string file = image.filename().string(), stem = image.stem().string();
+    for (const fs::path& place : {folder / fs::path(view.name).parent_path(), folder})
+        for (const std::string& candidate : {file + ".png", stem + ".png", stem + "_mask.png", stem + ".mask.png", file + ".mask.png", file})
+            if (fs::path p = existing(place / candidate); !p.empty()) return p;
     return {};
 }
 
@@ -189,7 +190,10 @@ fs::path object_mask_file(const View& view, const fs::path& scene, const MaskOpt
         replace("{name}", image.filename().string());
         return existing(scene / p);
     }
-    if (!view.mask_path.empty()) return existing(view.mask_path);
+    if (!view.mask_path.empty()) {
+        if (!fs::is_regular_file(view.mask_path)) throw InputError(view.mask_path.string() + ": the camera file names this mask for view " + view.name + ", and it is not there");
+        return view.mask_path;
+    }
     if (fs::is_directory(scene / "masks"))
         if (fs::path p = mask_in_folder(scene / "masks", view); !p.empty()) return p;
     for (const std::string& candidate :
@@ -209,7 +213,9 @@ struct Made {
     std::string problem;  ///< why there is none
 };
 
-Made make_one(const View& view, const fs::path& scene, const MaskOptions& options) {
+/// The mask of one view; `edited` (or empty) is one that the user changed: it replaces the coverage, undistorted
+/// as it is, and what is to be ignored stays.
+Made make_one(const View& view, const fs::path& scene, const MaskOptions& options, const fs::path& edited) {
     Made out;
     const Intrinsics& k = view.camera.intrinsics;
     const auto check_size = [&](const Image8& image, const fs::path& path, const char* what) {
@@ -221,8 +227,12 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
     Mask& mask = out.mask;
     const MaskMethod method = options.method;
     const bool want_folder = method == MaskMethod::Folder || method == MaskMethod::Auto;
-    const fs::path file = want_folder ? object_mask_file(view, scene, options) : fs::path();
-    if (!file.empty()) {
+    const fs::path file = want_folder && edited.empty() ? object_mask_file(view, scene, options) : fs::path();
+    if (!edited.empty()) {
+        mask.coverage = grey_of(io::read_image8(edited), edited);
+        check_size(mask.coverage, edited, "the edited mask");
+        out.origin = edited.string() + " (edited by hand)";
+    } else if (!file.empty()) {
         mask.coverage = grey_of(io::read_image8(file), file);
         check_size(mask.coverage, file, "the mask");
         refuse_class_numbers(mask.coverage, file);
@@ -272,7 +282,7 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
             }
         }
     }
-    if (options.invert)
+    if (options.invert && edited.empty())
         for (uint8_t& v : mask.coverage.data) v = static_cast<uint8_t>(255 - v);
     if (const fs::path ignore = ignore_mask_file(view, scene, options); !ignore.empty()) {
         mask.ignore = grey_of(io::read_image8(ignore), ignore);
@@ -281,7 +291,8 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
     }
     if (view.lens.distorts()) {
         Image8 outside;
-        mask.coverage = io::undistort(mask.coverage, k, view.lens, &outside);
+        Image8 straight = io::undistort(mask.coverage, k, view.lens, &outside);
+        if (edited.empty()) mask.coverage = std::move(straight);
         if (!mask.ignore.empty()) {
             Image8 ignore = io::undistort(mask.ignore, k, view.lens, nullptr);
             for (uint8_t& v : ignore.data) v = v >= 128 ? 255 : 0;
@@ -369,18 +380,16 @@ Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& g
     progress.begin("mask", n);
     tbb::parallel_for(size_t{0}, n, [&](size_t i) {
         const View& view = views.views[i];
-        if (i < edited.size() && !edited[i].empty()) {
-            // Ours were written undistorted; an edited one is used as it is.
-            made[i].mask.coverage = grey_of(io::read_image8(edited[i]), edited[i]);
-            const Image8& m = made[i].mask.coverage;
-            if (m.width != view.camera.intrinsics.width_px || m.height != view.camera.intrinsics.height_px)
-                throw InputError(edited[i].string() + ": the edited mask changed its size");
-            made[i].origin = edited[i].string() + " (edited by hand)";
-        } else {
-            made[i] = make_one(view, scene, options);
-        }
+        made[i] = make_one(view, scene, options, i < edited.size() ? edited[i] : fs::path());
         progress.step();
     });
+
+    std::map<std::string, std::string> taken;  // mask file -> view
+    for (size_t i = 0; i < n; ++i) {
+        if (made[i].origin.empty()) continue;
+        const auto [other, fresh] = taken.emplace(made[i].origin, views.views[i].name);
+        if (!fresh) throw InputError(made[i].origin + ": is the mask of both " + other->second + " and " + views.views[i].name + ". Remedy: keep the images' folders below the mask folder too");
+    }
 
     Masks out;
     std::vector<std::string> missing, empty, full, inverted, bordered;
@@ -424,7 +433,7 @@ Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& g
     if (!inverted.empty()) progress.warn("the mask's border is mostly object (inverted?): " + some_of(inverted));
     if (!bordered.empty())
         progress.warn("the object leaves the frame in " + std::to_string(bordered.size()) + " views: " + some_of(bordered) +
-                      "; what lies outside an image is taken as unknown");
+                      "; what lies outside an image is unknown there unless --outside says otherwise");
     return out;
 }
 

@@ -44,6 +44,15 @@ json parse_or_empty(const fs::path& file) {
     }
 }
 
+/// The note of a finished stage, or nothing where it is missing, damaged or lacks a key: then the stage counts as
+/// not done.
+std::optional<json> stage_note(const fs::path& file, std::initializer_list<const char*> keys) {
+    json note = parse_or_empty(file);
+    for (const char* key : keys)
+        if (!note.is_object() || !note.contains(key)) return std::nullopt;
+    return note;
+}
+
 bool made_by_us(const fs::path& output) { return fs::exists(output / kMarker); }
 
 /// Files of finished stages, named by what they were made from.
@@ -95,8 +104,12 @@ class Job {
         stage("mask", [&] { return masks(); });
         if (o_.last_stage == LastStage::Mask) return finish();
         plan_key();
-        const bool have_hull = fs::exists(hull_json());
-        if (!have_hull || o_.dry_run) stage("distance", [&] { distances(); return false; });
+        const bool have_hull = fs::exists(hull_file()) && stage_note(hull_json(), {"grid", "warnings", "backend"});
+        stage("distance", [&] {
+            if (have_hull && !o_.dry_run) return true;  // the hull made from them is there
+            distances();
+            return false;
+        });
         if (o_.dry_run) {
             plan_grid();
             return finish();
@@ -141,6 +154,7 @@ class Job {
         need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
         need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
         need(o_.max_misses >= 0 && o_.max_misses <= 15, "--max-misses is " + std::to_string(o_.max_misses) + ", must be 0..15");
+        need(std::isfinite(o_.distance.silhouette_offset_px), "--silhouette-offset is not finite");
         need(o_.min_seen >= 0 && o_.min_seen <= 1, "--min-seen is " + std::to_string(o_.min_seen) + ", must be 0..1");
         need(o_.adaptivity >= 0 && o_.adaptivity <= 1, "--adaptivity is " + std::to_string(o_.adaptivity) + ", must be 0..1");
         if (o_.grid)
@@ -178,7 +192,9 @@ class Job {
         std::vector<fs::path> edited(n);
         for (size_t i = 0; i < n; ++i) {
             const fs::path file = folder / mask_names_[i];
-            if (written.contains(mask_names_[i]) && fs::exists(file) && sha256_of_file(file) != written[mask_names_[i]]) {
+            if (!written.contains(mask_names_[i]) || !fs::exists(file)) continue;
+            const json& ours = written[mask_names_[i]];
+            if (std::find(ours.begin(), ours.end(), sha256_of_file(file)) == ours.end()) {
                 edited[i] = file;
                 progress_.note("mask edited by hand is used: " + file.string());
             }
@@ -186,14 +202,27 @@ class Job {
 
         // Every input file is hashed once; the masks depend on what they are made from and how.
         std::vector<std::string> file_hashes(n);
+        std::vector<json> per_file(n, json::object());
         tbb::parallel_for(size_t{0}, n, [&](size_t i) {
             Sha256 h;
             std::vector<fs::path> files = mask_files(views_.views[i], o_.views.scene, o_.mask);
-            if (!edited[i].empty()) files = {edited[i]};
-            for (const fs::path& f : files) h.add(sha256_of_file(f));
+            if (!edited[i].empty()) files.push_back(edited[i]);
+            if (!views_.views[i].image_path.empty() && files.front() != views_.views[i].image_path) files.push_back(views_.views[i].image_path);
+            for (const fs::path& f : files) {
+                const std::string hash = sha256_of_file(f);
+                h.add(hash);
+                per_file[i][f.string()] = hash;
+            }
             file_hashes[i] = h.hex();
         });
-        for (size_t i = 0; i < n; ++i) report_["inputs"][views_.views[i].name]["sha256"] = file_hashes[i];
+        Sha256 everything;
+        for (size_t i = 0; i < n; ++i) {
+            everything.add(file_hashes[i]);
+            add_camera(everything, views_.views[i].camera);
+            report_["inputs"][views_.views[i].name]["sha256"] = per_file[i];
+        }
+        inputs_sha256_ = everything.hex();
+        if (fs::is_regular_file(views_.camera_file)) report_["camera_file_sha256"] = sha256_of_file(views_.camera_file);
         const MaskOptions& m = o_.mask;
         Sha256 h;
         h.add("mask").add_value(kCodeVersion).add_value(m.method).add_value(m.invert).add_value(m.allow_missing);
@@ -209,9 +238,12 @@ class Job {
         mask_key_ = h.hex();
 
         const fs::path stored = store_.path("masks", mask_key_, "");
-        const bool reused = !o_.dry_run && fs::exists(stored / "masks.json");
+        const auto note_found = stage_note(stored / "masks.json", {"origins", "left_out", "warnings", "files"});
+        bool reused = !o_.dry_run && note_found;
+        if (reused)
+            for (const json& f : (*note_found)["files"]) reused = reused && fs::exists(stored / f.get<std::string>());
         if (reused) {
-            const json note = parse_or_empty(stored / "masks.json");
+            const json& note = *note_found;
             masks_.masks.resize(n);
             masks_.origins = note["origins"].get<std::vector<std::string>>();
             masks_.left_out = note["left_out"].get<std::vector<size_t>>();
@@ -239,7 +271,11 @@ class Job {
                     const auto ignore = io::encode_png(mask.ignore);
                     write_file(part / (std::to_string(i) + "_ignore.png"), ignore.data(), ignore.size());
                 });
+                std::vector<std::string> files;
+                for (const auto& entry : fs::directory_iterator(part)) files.push_back(entry.path().filename().string());
+                std::sort(files.begin(), files.end());
                 const json note{{"origins", masks_.origins},
+                                {"files", files},
                                 {"left_out", masks_.left_out},
                                 {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}};
                 write_file(part / "masks.json", note.dump(1) + "\n");
@@ -256,14 +292,19 @@ class Job {
     /// Copies of the masks for the user to look at and to edit. An edited one is left alone.
     void place_masks(const fs::path& stored, const fs::path& folder, json written, const std::vector<fs::path>& edited) {
         make_folder(folder);
+        std::vector<std::pair<fs::path, fs::path>> copies;
         for (size_t i = 0; i < mask_names_.size(); ++i) {
             const fs::path from = stored / (std::to_string(i) + ".png");
             if (!edited[i].empty() || !fs::exists(from)) continue;
             const std::string hash = sha256_of_file(from);
-            if (!fs::exists(folder / mask_names_[i]) || written.value(mask_names_[i], "") != hash) place_copy(from, folder / mask_names_[i]);
-            written[mask_names_[i]] = hash;
+            json& ours = written[mask_names_[i]];
+            if (fs::exists(folder / mask_names_[i]) && !ours.empty() && ours.back() == hash) continue;
+            copies.emplace_back(from, folder / mask_names_[i]);
+            // The one before is still ours, should a run end between the note and the copy.
+            ours = ours.empty() ? json{hash} : json{ours.back(), hash};
         }
         write_file(folder / ".written_by_vdbcarve.json", written.dump(1) + "\n");
+        for (const auto& [from, to] : copies) place_copy(from, to);
     }
 
     // --------------------------------------------------------------------------------------- carve
@@ -376,17 +417,17 @@ class Job {
     }
 
     bool carve_hull() {
-        if (fs::exists(hull_json()) && fs::exists(hull_file())) {
-            const json note = parse_or_empty(hull_json());
-            report_["grid"] = note["grid"];
-            for (const std::string& w : note["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+        if (const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"}); note && fs::exists(hull_file())) {
+            report_["grid"] = (*note)["grid"];
+            backend_ = (*note)["backend"];
+            for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
             return true;
         }
         const size_t warnings_before = progress_.warnings().size();
-        if (inputs_.empty()) distances();  // the note was there but the volume was not
         plan_grid();
         CarveResult result = carve(inputs_, carve_, progress_);
         const CarveStatistics& s = result.statistics;
+        backend_ = result.backend_used;
         json& g = report_["grid"];
         g["active_voxels"] = s.active_voxels;
         g["leaves"] = s.leaves;
@@ -402,14 +443,14 @@ class Job {
         inputs_.clear();
         write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
         const std::vector<std::string> all = progress_.warnings();
-        json note{{"grid", g}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}};
+        json note{{"grid", g}, {"backend", backend_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}};
         write_file(hull_json(), note.dump(1) + "\n");
         return false;
     }
 
 
     VdbMetadata metadata() const {
-        return {views_.units, views_.up, used_.size(), report_["grid"]["voxel_size"].get<double>(), mask_key_};
+        return {views_.units, views_.up, used_.size(), report_["grid"]["voxel_size"].get<double>(), inputs_sha256_};
     }
 
     // --------------------------------------------------------------------------------------- surface
@@ -474,6 +515,9 @@ class Job {
         }
         write_vdb(o_.output / "volume.vdb", grids, metadata());
         const std::string up = o_.views.up.empty() ? views_.up : o_.views.up;
+        // A mesh of an earlier run in a format not asked for now would no longer fit the rest.
+        for (const char* format : {"ply", "obj", "stl"})
+            if (std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), format) == o_.mesh_formats.end()) fs::remove(o_.output / (std::string("mesh.") + format));
         for (const std::string& format : o_.mesh_formats) {
             const fs::path target = o_.output / ("mesh." + format);
             if (format == "ply") place_copy(store_.path("mesh", mesh_key_, ".ply"), target);
@@ -515,6 +559,8 @@ class Job {
         if (weak_count)
             progress_.warn(std::to_string(weak_count) + " views agree with the result by less than 0.9 (silhouette IoU): " + weak +
                            (weak_count > 5 ? " …" : "") + ": look at their masks and cameras");
+        for (const std::string& name : views_.left_out)
+            report_["views"].push_back({{"name", name}, {"used", false}, {"silhouette_iou", 0.0}, {"contour_p95_px", 0.0}, {"mask", ""}});
         std::sort(ious.begin(), ious.end());
         minimum_iou_ = ious.front();
         median_iou_ = ious[ious.size() / 2];
@@ -532,7 +578,13 @@ class Job {
             tiles[s].camera = cameras[i];
             tiles[s].mask = masks_.masks[i].coverage;
             if (v.image_path.empty()) return;
-            Image8 photo = io::read_image8(v.image_path);
+            Image8 photo;
+            try {
+                photo = io::read_image8(v.image_path);
+            } catch (const InputError& e) {
+                progress_.warn(std::string(e.what()) + "; the preview shows it black");  // carving needed its mask only
+                return;
+            }
             if (v.lens.distorts()) photo = io::undistort(photo, v.camera.intrinsics, v.lens, nullptr);
             tiles[s].photo = std::move(photo);
         });
@@ -542,7 +594,7 @@ class Job {
 
     Reconstruction finish() {
         report_["version"] = kVersion;
-        report_["backend"] = "cpu";
+        report_["backend"] = backend_;
         report_["warnings"] = progress_.warnings();
         report_["cameras"] = {{"file", views_.camera_file.string()}, {"format", views_.format}, {"up", views_.up}, {"units", views_.units}};
         Reconstruction out;
@@ -569,6 +621,7 @@ class Job {
     openvdb::MaskGrid::Ptr occupancy_;
     Mesh mesh_;
     MeshMeasures measures_;
+    std::string backend_ = "cpu", inputs_sha256_;
     std::string mask_key_, hull_key_, surface_key_, mesh_key_;
     double median_iou_ = 0, minimum_iou_ = 0;
 };

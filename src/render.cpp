@@ -143,7 +143,10 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
             out.extra_px += a && !b;
         }
     out.iou = either ? static_cast<double>(both) / static_cast<double>(either) : 1.0;
-    if (both == 0) return out;
+    if (both == 0) {  // nothing in common: as far apart as the picture is wide, unless both are empty
+        if (either) out.contour_p95_px = out.contour_p99_px = std::hypot(width, height);
+        return out;
+    }
     // Where either contour runs, the two signed distances differ by the contours' displacement there.
     const ImageF sa = signed_distance(hit), sb = signed_distance(mask.coverage);
     std::vector<float> apart;

@@ -5,6 +5,7 @@
 #include <array>
 #include <cctype>
 #include <cmath>
+#include <map>
 #include <set>
 
 #include "io_cameras.h"
@@ -76,6 +77,7 @@ std::pair<int, int> image_size(const fs::path& file) {
 namespace {
 
 using io::Importer;
+using io::in_scene;
 
 constexpr Importer kTransforms{"transforms.json", io::understands_transforms, io::read_transforms};
 constexpr Importer kColmap{"COLMAP", io::understands_colmap, io::read_colmap};
@@ -87,12 +89,6 @@ struct Candidate {
     fs::path path;
     const Importer* importer;
 };
-
-/// The path as given when it exists, else relative to the scene. Empty stays empty.
-fs::path in_scene(const fs::path& given, const fs::path& scene) {
-    if (given.empty() || given.is_absolute()) return given;
-    return fs::exists(scene / given) ? scene / given : given;
-}
 
 std::vector<fs::path> files_ending(const fs::path& folder, const std::string& ending) {
     std::vector<fs::path> out;
@@ -207,6 +203,7 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
     const Candidate found = find_camera_file(options, progress);
     io::Imported imported = found.importer->read(found.path);
     for (const std::string& n : imported.notes) progress.note(found.path.string() + ": " + n);
+    for (const std::string& w : imported.warnings) progress.warn(found.path.string() + ": " + w);
     if (imported.views.empty()) throw InputError(found.path.string() + ": holds no views");
     if (!imported.metric && !options.accept_non_metric)
         throw InputError(found.path.string() +
@@ -247,8 +244,10 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
         Intrinsics& k = view.camera.intrinsics;
         const std::string where = found.path.string() + ": view " + view.name;
         view.image_path = finder.find(view.name);
-        if (view.image_path.empty()) {
+        const bool sizes_known = k.width_px > 0 && k.height_px > 0 && v.angle_x_rad == 0;
+        if (view.image_path.empty() && !(options.cameras_only && sizes_known)) {
             if (options.allow_missing) {
+                out.left_out.push_back(view.name);
                 progress.warn(where + ": image not found; the view is left out");
                 continue;
             }
@@ -268,7 +267,17 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
         else if (integer_centres) k.cy += 0.5;
         if (std::none_of(out.sittings.begin(), out.sittings.end(), [&](const Sitting& x) { return x.id == view.sitting; }))
             throw InputError(where + ": names sitting '" + view.sitting + "', which the file does not describe");
+        // Files written with few digits are orthonormal to those digits only; what is exact stays untouched.
+        Mat3d& rotation = view.camera.camera_from_world.rotation;
+        if (is_rotation(rotation) && !is_rotation(rotation, 1e-14)) rotation = nearest_rotation(rotation);
         out.views.push_back(view);
+    }
+    std::map<fs::path, std::string> taken;
+    for (const View& v : out.views) {
+        if (v.image_path.empty()) continue;
+        const auto [other, fresh] = taken.emplace(v.image_path, v.name);
+        if (!fresh && other->second != v.name)
+            throw InputError(v.image_path.string() + ": is the image of both " + other->second + " and " + v.name + ". Remedy: keep the camera file's folders");
     }
     if (out.views.empty()) throw InputError(found.path.string() + ": no view has an image");
     std::stable_sort(out.views.begin(), out.views.end(),
@@ -282,6 +291,9 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
 
 void check_views(const Views& views) {
     if (views.views.empty()) throw InputError(views.camera_file.string() + ": no views");
+    for (const Sitting& s : views.sittings)
+        if (!(s.scale > 0) || !std::isfinite(s.scale) || !is_rotation(s.scene_from_sitting.rotation) || !s.scene_from_sitting.translation.allFinite())
+            throw InputError(views.camera_file.string() + ": sitting '" + s.id + "': its scale must be > 0 and its transform rigid");
     for (const View& view : views.views) {
         const Intrinsics& k = view.camera.intrinsics;
         const Rigid3& pose = view.camera.camera_from_world;

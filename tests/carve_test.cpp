@@ -186,6 +186,26 @@ TEST(Carve, BricksMergeIntoTheWhole) {
     expect_same(*whole, *merge_bricks(bricks));
 }
 
+TEST(Carve, OccupancyBricksShareTheWholeOut) {
+    openvdb::initialize();
+    const Shoot s = shoot(small_spec("ellipsoids", 8));
+    CarveOptions o = options_for(s, 80);
+    o.occupancy = true;
+    Progress quiet;
+    const auto whole = carve(s.inputs, o, quiet).occupancy;
+    size_t sum = 0;
+    for (const int cut : {-104, 8}) {
+        o.brick = IndexBox{{cut, -104, -104}, {cut < 0 ? 8 : 104, 104, 104}};
+        const auto part = carve(s.inputs, o, quiet).occupancy;
+        for (auto it = part->cbeginValueOn(); it; ++it) ASSERT_TRUE(whole->tree().isValueOn(it.getCoord()));
+        const openvdb::CoordBBox box = part->evalActiveVoxelBoundingBox();
+        EXPECT_GE(box.min().x(), o.brick->min[0]);
+        EXPECT_LT(box.max().x(), o.brick->max[0]);
+        sum += part->activeVoxelCount();
+    }
+    EXPECT_EQ(sum, whole->activeVoxelCount());
+}
+
 TEST(Carve, SameBitsForAnyNumberOfThreads) {
     openvdb::initialize();
     const Shoot s = shoot(small_spec("cup", 8));

@@ -60,12 +60,14 @@ expect 0 'surface' info out
 expect 0 '"grids"' info out/volume.vdb --json -
 expect 0 'genus' info out/mesh.obj
 expect 0 'focal_px' info scene
+expect 0 'focal_px' info out/cameras.json
 expect 0 'expected_bytes' reconstruct scene -o nothing --dry-run
 check 'a dry run writes nothing' test ! -e nothing
 expect 0 'MB freed' clean out
 expect 3 'not made by vdbcarve' clean scene
 expect 0 'carve .* s' carve scene -o carved --resolution 24
 check 'carve leaves the raw hull' test -s carved/hull.vdb
+expect 0 'hull' info carved
 expect 0 'mask' mask scene -o masked
 check 'mask leaves masks' test -s masked/masks/0005.png
 
@@ -73,7 +75,7 @@ check 'mask leaves masks' test -s masked/masks/0005.png
 expect 2 'resolution' reconstruct scene -o bad --resolution -5
 expect 2 'one of --resolution' reconstruct scene -o bad --resolution 5 --voxel-size 1
 expect 2 '6 numbers' reconstruct scene -o bad --bounds 1,2,3
-expect 2 "'x' is not a number" reconstruct scene -o bad --bounds 1,2,3,4,5,x
+expect 2 "'x' is not a finite number" reconstruct scene -o bad --bounds 1,2,3,4,5,x
 expect 2 'where the cameras look' reconstruct scene -o bad --resolution 20 --bounds 100,100,100,101,101,101
 expect 3 'no such folder' reconstruct nowhere -o bad
 expect 7 'without CUDA' reconstruct scene -o bad --backend cuda

@@ -274,6 +274,38 @@ TEST(Masks, MistakesAreNamed) {
     }
 }
 
+TEST(Masks, FoldersTellViewsApart) {
+    Scene s;
+    for (size_t i = 0; i < 2; ++i) {
+        const std::string sub = "cam" + std::to_string(i);
+        for (const char* top : {"images/", "masks/"}) fs::create_directories(s.folder / (top + sub));
+        s.write("images/" + sub + "/a.png", photo(100, 80, 20 + 2 * static_cast<double>(i)));
+        s.write("masks/" + sub + "/a.png", threshold_mask(photo(100, 80, 20 + 2 * static_cast<double>(i)), {90}).coverage);
+        s.views.views[i].name = sub + "/a.png";
+        s.views.views[i].image_path = s.folder / ("images/" + sub + "/a.png");
+    }
+    const Masks m = s.make();
+    EXPECT_EQ(m.origins[1], (s.folder / "masks/cam1/a.png").string());
+    EXPECT_NE(m.masks[0].coverage.data, m.masks[1].coverage.data);
+    // One file for both is a mistake, not a guess.
+    fs::rename(s.folder / "masks/cam1/a.png", s.folder / "masks/a.png");
+    fs::remove(s.folder / "masks/cam0/a.png");
+    EXPECT_NE(s.error().find("both cam0/a.png and cam1/a.png"), std::string::npos);
+}
+
+TEST(Masks, AnEditedMaskKeepsWhatIsIgnored) {
+    Scene s;
+    fs::create_directories(s.folder / "ignore");
+    Image8 ignore(100, 80);
+    ignore.at(7, 8) = 255;
+    s.write("ignore/v1.png", ignore);
+    s.write("edited.png", Image8(100, 80, 1, 200));
+    Progress quiet;
+    const Masks m = make_masks(s.views, s.folder.path(), {}, {{}, s.folder / "edited.png", {}}, quiet);
+    EXPECT_EQ(m.masks[1].coverage.at(50, 3), 200);
+    EXPECT_EQ(m.masks[1].ignore.at(7, 8), 255);
+}
+
 // A mask seen through a lens, undistorted, is the mask of the pinhole camera.
 TEST(Masks, LensIsRemovedWithTheHalfPixelInPlace) {
     Scene s;

@@ -207,10 +207,9 @@ TEST(Importers, AMirroredWorldIsReportedAndMirroredBack) {
     o.scene = w.folder.path();
     o.cameras = "matrices.txt";
     Progress progress;
-    std::string notes;
-    progress.on_note = [&](const std::string& n) { notes += n; };
     expect_same_cameras(load_views(o, progress), w.scene.views, 1e-9);
-    EXPECT_NE(notes.find("left-handed"), std::string::npos) << notes;
+    ASSERT_EQ(progress.warnings().size(), 1u);
+    EXPECT_NE(progress.warnings()[0].find("left-handed"), std::string::npos);
 }
 
 TEST(Importers, AProjectiveWorldIsRefusedUntilAccepted) {
@@ -260,6 +259,33 @@ TEST(CamerasJson, RoundTripKeepsCamerasLensAndSittings) {
     EXPECT_EQ(read.sittings[1].scale, 1.25);
     // Writing what was read gives the same file: nothing drifts.
     EXPECT_EQ(cameras_json(read).size(), cameras_json(views).size());
+}
+
+TEST(CamerasJson, CanBeReadBackWhenFoldersTellTheImagesApart) {
+    Written w;
+    for (const char* sub : {"images/cam0", "images/cam1"}) fs::create_directories(w.folder / sub);
+    Views views = w.scene.views;
+    views.views.resize(2);
+    for (size_t i = 0; i < 2; ++i) {
+        const std::string name = "cam" + std::to_string(i) + "/shot.png";
+        fs::copy_file(w.folder / ("images/" + views.views[i].name), w.folder / ("images/" + name));
+        views.views[i].name = name;
+        views.views[i].image_path = w.folder / ("images/" + name);
+    }
+    write_text(w.folder / "cameras.json", cameras_json(views));
+    const Views read = load(w.folder.path());
+    expect_same_cameras(read, views, 1e-12);
+    EXPECT_EQ(read.views[1].image_path, w.folder / "images/cam1/shot.png");
+}
+
+TEST(CamerasJson, RotationsOfFewDigitsComeBackTheSame) {
+    Written w;
+    std::ostringstream text;
+    text << "1\n0000.png 50 0 20 0 50 15 0 0 1 0.707107 0 0.707107 0 1 0 -0.707107 0 0.707107 0.1 0.2 4\n";
+    write_text(w.folder / "x_par.txt", text.str());
+    const Views first = load(w.folder.path());
+    write_text(w.folder / "cameras.json", cameras_json(first));
+    expect_same_cameras(load(w.folder.path()), first, 1e-12);
 }
 
 TEST(CamerasJson, SittingsMoveTheCameraIntoTheScene) {

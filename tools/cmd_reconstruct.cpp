@@ -2,6 +2,7 @@
 // reconstruct, and its first parts as commands of their own: mask, carve.
 #include <spdlog/spdlog.h>
 
+#include <cmath>
 #include <iostream>
 #include <memory>
 
@@ -28,6 +29,8 @@ void read_raw(Raw& raw) {
     }
     if (!raw.grid.empty()) {
         const auto g = numbers("--grid", raw.grid, 3, 'x');
+        for (double d : g)
+            if (d != std::floor(d) || d < 1 || d > 65536) throw UsageError("--grid " + raw.grid + ": sides must be whole numbers within 1..65536");
         o.grid = {static_cast<int>(g[0]), static_cast<int>(g[1]), static_cast<int>(g[2])};
     }
     if (!raw.origin.empty()) {
@@ -139,6 +142,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                         return event.substr(at, event.find_first_of(",}", at) - at);
                     };
                     const bool reused = field("reused") == "true";
+                    spdlog::debug("{:<10} peak memory {:.0f} MB", "", std::stod(field("peak_rss_bytes")) / 1e6);
                     spdlog::info("{:<10} {:>8.2f} s{}", field("name").substr(1, field("name").size() - 2), std::stod(field("seconds")), reused ? "  (already there)" : "");
                 };
                 const Reconstruction result = reconstruct(options, progress);

@@ -27,6 +27,8 @@ SyntheticSpec spec_of(const Raw& raw) {
     } else if (fs::is_regular_file(file)) {
         spec.name = file.stem().string();
         spec.mesh = read_mesh(file);
+        if (const MeshMeasures m = measure(spec.mesh); m.boundary_edges > 0)
+            throw InputError(raw.object + ": the mesh is open (" + std::to_string(m.boundary_edges) + " border edges); truth must be a closed surface");
     } else {
         spec = builtin_spec(raw.object);
     }
@@ -34,7 +36,7 @@ SyntheticSpec spec_of(const Raw& raw) {
     if (raw.rig == "orbit") rig.kind = Rig::Kind::Orbit;
     if (raw.rig == "dome") rig.kind = Rig::Kind::Dome;
     if (raw.views) rig.views = raw.views;
-    if (raw.rig == "rings") {
+    if (raw.rig == "rings" || (raw.views && rig.kind == Rig::Kind::Rings)) {
         rig.kind = Rig::Kind::Rings;
         rig.rings = {{(rig.views + 1) / 2, 0}, {rig.views / 2, 35}};
     }

@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <chrono>
+#include <cmath>
 #include <csignal>
 #include <cstdio>
 #include <memory>
@@ -36,8 +37,8 @@ class Bar {
         drawn_ = now;
         const double elapsed = std::chrono::duration<double>(now - start_).count();
         const int filled = static_cast<int>(30 * share);
-        std::fprintf(stderr, "\r%-10s [%.*s%.*s] %3.0f %%  %.1f s, %.1f s left \033[K", stage.c_str(), filled, "##############################", 30 - filled,
-                     "..............................", 100 * share, elapsed, share > 0 ? elapsed * (1 - share) / share : 0.0);
+        std::fprintf(stderr, "\r%-10s [%.*s%.*s] %3.0f %%  %.0f %%/s, %.1f s left \033[K", stage.c_str(), filled, "##############################", 30 - filled,
+                     "..............................", 100 * share, elapsed > 0 ? 100 * share / elapsed : 0.0, share > 0 ? elapsed * (1 - share) / share : 0.0);
         if (share >= 1) clear();
         drawn_something_ = share < 1;
     }
@@ -66,9 +67,9 @@ std::vector<double> numbers(const std::string& option, const std::string& text, 
         try {
             size_t used = 0;
             out.push_back(std::stod(word, &used));
-            if (used != word.size()) throw std::invalid_argument(word);
+            if (used != word.size() || !std::isfinite(out.back())) throw std::invalid_argument(word);
         } catch (const std::exception&) {
-            throw UsageError(option + " " + text + ": '" + word + "' is not a number");
+            throw UsageError(option + " " + text + ": '" + word + "' is not a finite number");
         }
     }
     if (out.size() != count) throw UsageError(option + " " + text + ": " + std::to_string(count) + " numbers are expected, separated by '" + separator + "'");

@@ -5,7 +5,6 @@
 #include <openvdb/openvdb.h>
 
 #include <filesystem>
-#include <map>
 #include <string>
 
 namespace vdbcarve {

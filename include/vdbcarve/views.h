@@ -37,6 +37,7 @@ struct Views {
     std::string format;                 ///< name of the importer
     std::string up;                     ///< world up axis: "x", "y", "z", "-x", … or empty when unknown
     std::string units;                  ///< length unit of the world, or empty when unknown
+    std::vector<std::string> left_out;  ///< names of views without an image (allow_missing)
     bool metric = true;                 ///< false: a projective world, without angles and distances
 
     /// The cameras in the scene's frame, every sitting's transform applied.
@@ -52,6 +53,7 @@ struct ViewsOptions {
     PixelCentre pixel_centre = PixelCentre::Default;  ///< overrides the format's rule
     bool accept_non_metric = false;      ///< carve in a projective world all the same
     bool allow_missing = false;          ///< leave out views whose image or mask is missing
+    bool cameras_only = false;           ///< images need not be there when the file knows their sizes
     std::string up, units;               ///< override what the file says
 };
 
