@@ -2,6 +2,7 @@
 // Compiles the shared kernel headers for the device. Not linked into anything.
 #include "vdbcarve/kernel/carve.h"
 #include "vdbcarve/kernel/distance.h"
+#include "vdbcarve/kernel/level_set.h"
 
 namespace vdbcarve::kernel {
 
@@ -15,11 +16,19 @@ __global__ void ask_nodes(const CarveView* view, const NodeBall* balls, NodeAnsw
     if (at < count) answers[at] = node_answers(*view, balls[at], near_depth, band);
 }
 
-__global__ void contour(const uint8_t* corners, ContourPieces* pieces, int64_t* columns, int count) {
+__global__ void contour(const uint8_t* corners, ContourPieces* pieces, int32_t* distance2, int count) {
     const int at = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
     if (at >= count) return;
     pieces[at] = contour_pieces(corners[4 * at], corners[4 * at + 1], corners[4 * at + 2], corners[4 * at + 3]);
-    columns[at] = parabola_switch(0, corners[4 * at], 1 + at, corners[4 * at + 1]);
+    const ContourPieces& p = pieces[at];
+    distance2[at] = root_of(segment_distance2(make_segment(p.ax[0], p.ay[0], p.bx[0], p.by[0]), 0.f, 64.f));
+}
+
+__global__ void redistance(const float* raw, float* out, int count) {
+    const int at = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
+    if (at + 6 >= count) return;
+    const float here = plane_distance(crossing_distance(raw[at], raw[at + 1]), crossing_distance(raw[at], raw[at + 2]), crossing_distance(raw[at], raw[at + 3]));
+    out[at] = here < kNoCrossing ? here : eikonal(raw[at + 1], raw[at + 2], raw[at + 3]);
 }
 
 }  // namespace vdbcarve::kernel

@@ -35,12 +35,12 @@ int main() {
     const std::vector<DistanceField> fields = distance_fields(views, {}, progress);
 
     std::vector<CarveInput> inputs;
-    for (size_t i = 0; i < fields.size(); ++i) inputs.push_back({"view " + std::to_string(i), cameras[i], fields[i].silhouette, {}});
+    for (size_t i = 0; i < fields.size(); ++i) inputs.push_back({"view " + std::to_string(i), cameras[i], &fields[i]});
     CarveOptions options;
     options.bounds_world = automatic_bounds(inputs, options, progress);
     options.lattice.voxel_size = 0.02;
     const CarveResult hull = carve(inputs, options, progress);
-    const auto surface = level_set(*hull.hull, {}, progress);
+    const auto surface = level_set(hull.hull, {}, progress);
     write_vdb("ball.vdb", {surface, density_of(*surface)}, {"", "y", inputs.size(), 0.02, ""});
     std::printf("ball.vdb: %zu active voxels\n", static_cast<size_t>(surface->activeVoxelCount()));
 }

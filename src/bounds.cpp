@@ -12,13 +12,9 @@ namespace {
 
 /// Bounding box of what a silhouette covers, image coordinates.
 std::optional<Eigen::AlignedBox2d> silhouette_box(const CarveInput& input) {
-    Eigen::AlignedBox2d box;
-    const ImageView<float>& s = input.silhouette_px;
-    for (int y = 0; y < s.height; ++y)
-        for (int x = 0; x < s.width; ++x)
-            if (s.at(x, y) <= 0) box.extend(Vec2d(x + 0.5, y + 0.5));
-    if (box.isEmpty()) return std::nullopt;
-    return box;
+    const DistanceField& f = *input.field;
+    if (!f.shows_object()) return std::nullopt;
+    return Eigen::AlignedBox2d(Vec2d(f.object_box[0], f.object_box[1]) * f.scale, Vec2d(f.object_box[2] + 1, f.object_box[3] + 1) * f.scale);
 }
 
 double median(std::vector<double> v) {

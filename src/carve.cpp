@@ -11,6 +11,8 @@
 #include <memory>
 #include <set>
 
+#include "vector_loops.h"
+
 namespace vdbcarve {
 
 using openvdb::Coord;
@@ -43,19 +45,62 @@ kernel::CarveView make_carve_view(const CarveInput& input, const CarveOptions& o
         for (int c = 0; c < 3; ++c) v.camera_from_index[4 * r + c] = pose.rotation(r, c) * h;
         v.camera_from_index[4 * r + 3] = first[r];
     }
-    v.fx = static_cast<float>(k.fx);
-    v.skew = static_cast<float>(k.skew);
-    v.fy = static_cast<float>(k.fy);
-    v.cx = static_cast<float>(k.cx);
-    v.cy = static_cast<float>(k.cy);
-    v.sigma_max = static_cast<float>(k.sigma_max() * (1 + 1e-6));  // stays an upper bound after rounding
-    v.width_px = k.width_px;
-    v.height_px = k.height_px;
+    // Coarser samples are an image of fewer pixels.
+    const double scale = input.field ? 1.0 / input.field->scale : 1.0;
+    v.fx = static_cast<float>(k.fx * scale);
+    v.skew = static_cast<float>(k.skew * scale);
+    v.fy = static_cast<float>(k.fy * scale);
+    v.cx = static_cast<float>(k.cx * scale);
+    v.cy = static_cast<float>(k.cy * scale);
+    v.sigma_max = static_cast<float>(k.sigma_max() * scale * (1 + 1e-6));  // stays an upper bound after rounding
+    v.frame_width = static_cast<float>(k.width_px * scale);
+    v.frame_height = static_cast<float>(k.height_px * scale);
     v.orthographic = k.orthographic;
     v.outside = options.outside;
-    v.silhouette_px = input.silhouette_px.data;
-    v.ignored_px = input.ignored_px.data;
+    if (input.field) {
+        v.silhouette = input.field->silhouette.view();
+        if (!input.field->ignored.empty()) v.ignored = input.field->ignored.view();
+    }
     return v;
+}
+
+FieldPlan plan_fields(const std::vector<Camera>& cameras, const CarveOptions& options, int scale) {
+    // Pixels across a voxel: largest over the bounds' corners, and at their middle.
+    const double h = options.lattice.voxel_size;
+    const Box3d& box = options.bounds_world;
+    const double radius = 0.5 * box.sizes().norm();
+    std::vector<double> middle;
+    double most = 0, fewest = INFINITY;
+    for (const Camera& camera : cameras) {
+        const Intrinsics& k = camera.intrinsics;
+        double at_middle = k.sigma_max() * h, nearest = at_middle, farthest = at_middle;
+        if (!k.orthographic) {
+            const double depth = (camera.camera_from_world * box.center()).z();
+            if (depth <= 0) continue;
+            at_middle /= depth;
+            nearest = 0, farthest = INFINITY;
+            for (int c = 0; c < 8; ++c) {
+                const Vec3d y = camera.camera_from_world * Vec3d(box.corner(static_cast<Box3d::CornerType>(c)));
+                // A camera within the bounds: what is nearer than a fifth of the way is left to the coarse bound.
+                const double z = std::max(y.z(), 0.2 * std::min(depth, radius));
+                nearest = std::max(nearest, k.sigma_max() * h / z * std::sqrt(1 + (y.x() * y.x() + y.y() * y.y()) / (z * z)));
+                farthest = std::min(farthest, k.sigma_max() * h / z);
+            }
+        }
+        middle.push_back(at_middle);
+        most = std::max(most, nearest);
+        fewest = std::min(fewest, farthest);
+    }
+    FieldPlan plan;
+    if (middle.empty()) return plan;
+    std::nth_element(middle.begin(), middle.begin() + static_cast<long>(middle.size() / 2), middle.end());
+    plan.px_per_voxel = middle[middle.size() / 2];
+    // The binary model asks the very pixel.
+    plan.scale = options.occupancy ? 1 : (scale > 0 ? scale : std::max(1, static_cast<int>(fewest / kSamplesPerVoxel)));
+    // A leaf (its voxel centres reach sqrt(3) * 3.5 voxels from its middle) is decided by the samples, larger nodes by blocks.
+    const double band_vox = options.occupancy ? 0 : options.half_width_vox;
+    plan.reach_samples = std::clamp(std::ceil((band_vox + std::sqrt(3.0) * 3.5) * most / plan.scale * 1.05 + kernel::kFieldSlop_px + 1), 8.0, 0.9 * kernel::kMaxReach_px);
+    return plan;
 }
 
 namespace {
@@ -66,76 +111,61 @@ using Leaf = openvdb::FloatTree::LeafNodeType;
 using MaskLeaf = openvdb::MaskTree::LeafNodeType;
 
 constexpr int kMaxMisses = 15;  // a voxel keeps its largest k + 1 values on the stack
-constexpr int kLeafVoxels = 512;
+
+/// A leaf that is not decided yet: of each voxel the largest values so far (cell order), largest first.
+struct OpenLeaf {
+    std::vector<float> largest;  ///< ranks x 512
+    unsigned alive = 0xff;       ///< cells that are not outside everywhere
+    int cell_misses[kLeafCells] = {};  ///< views that show background all over the cell, certain_misses of the node apart
+};
+
+/// A node between two batches of views: what is not outside yet.
+struct OpenNode {
+    int origin[3];
+    int size;
+    int certain_misses = 0;          ///< views that show background all over the node
+    std::unique_ptr<OpenLeaf> leaf;  ///< once a view cuts it
+};
 
 /// What the tree walk found below one root node, in the order of the walk.
 struct Found {
     std::vector<std::unique_ptr<Leaf>> leaves;
     std::vector<std::unique_ptr<MaskLeaf>> mask_leaves;
     std::vector<std::pair<Coord, int>> inside;  // whole nodes (origin, size), for occupancy
+    std::vector<OpenNode> open;                 // before the last batch
     size_t node_tests = 0, voxel_lookups = 0, surface = 0, capped = 0, negative = 0;
 };
 
 struct NodeState {
     int origin[3];
     int size;
-    const uint16_t* views;  ///< those that still matter
+    const uint16_t* views;  ///< those of the batch that still matter
     int view_count;
     int certain_misses;     ///< views that show background all over the node
     bool seen;              ///< enough views have the whole node in frame
     bool in_box;            ///< the whole node lies deeper inside the bounds than the band
 };
 
-// The portable binary picks the widest vector unit at run time. The same operations in the same order, without
-// fused multiply-add, give the same bits on each. (Sanitizers start after such choices are made.)
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__)
-#define VDBCARVE_VECTOR_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define VDBCARVE_VECTOR_CLONES
-#endif
-
-/// kernel::silhouette_value at all voxels of a leaf: one loop a step, so that all but the look-ups become vectors.
-VDBCARVE_VECTOR_CLONES
-void leaf_silhouette_values(const CarveView& view, const kernel::LeafToCamera& leaf, float band, float* __restrict values) {
-    float x[kLeafVoxels], y[kLeafVoxels], z[kLeafVoxels], u[kLeafVoxels], v[kLeafVoxels];
-    float s00[kLeafVoxels], s10[kLeafVoxels], s01[kLeafVoxels], s11[kLeafVoxels];
-    const CarveView c = view;  // a copy: nothing the loops write can change it
-    for (int at = 0; at < kLeafVoxels; ++at) {
-        const kernel::Vec3 p = kernel::voxel_in_camera(leaf, at >> 6, (at >> 3) & 7, at & 7);
-        x[at] = p.x;
-        y[at] = p.y;
-        z[at] = p.z;
-    }
-    for (int at = 0; at < kLeafVoxels; ++at) {
-        const kernel::Projected p = kernel::project(c, {x[at], y[at], z[at]});
-        x[at] = p.mx;
-        y[at] = p.my;
-        u[at] = p.u;
-        v[at] = p.v;
-    }
-    for (int at = 0; at < kLeafVoxels; ++at) {
-        const kernel::Patch p = kernel::fetch_patch(c.silhouette_px, c.width_px, c.height_px, u[at], v[at]);
-        s00[at] = p.s00;
-        s10[at] = p.s10;
-        s01[at] = p.s01;
-        s11[at] = p.s11;
-        u[at] = p.a;
-        v[at] = p.b;
-    }
-    for (int at = 0; at < kLeafVoxels; ++at) {
-        const kernel::Patch patch{s00[at], s10[at], s01[at], s11[at], u[at], v[at]};
-        values[at] = kernel::patch_value(c, patch, {x[at], y[at], 0.f, 0.f}, z[at], band);
-    }
+/// Place, in a leaf, of the four voxels that a cell's row holds, and back: see cell_order.
+template <class Copy>
+void for_each_row(const Copy& copy) {
+    for (int i = 0; i < 8; ++i)
+        for (int j = 0; j < 8; ++j)
+            for (int k = 0; k < 8; k += 4) {
+                const int at = i << 6 | j << 3 | k;
+                copy(at, cell_order(at));
+            }
 }
 
 class Carver {
   public:
-    Carver(const std::vector<CarveInput>& inputs, const CarveOptions& options) : options_(options) {
-        for (const CarveInput& input : inputs) views_.push_back(make_carve_view(input, options));
+    Carver(const std::vector<CarveInput>& inputs, const CarveOptions& options) : options_(options), inputs_(inputs) {
+        for (const CarveInput& input : inputs_) views_.push_back(make_carve_view(input, options));
         const double h = options.lattice.voxel_size;
         band_ = options.occupancy ? 0.0 : options.half_width_vox * h;
         band_f_ = static_cast<float>(band_);
         near_ = kernel::kNearPlane_vox * static_cast<float>(h);
+        cell_radius_ = static_cast<float>(std::sqrt(3.0) * 1.5 * h * (1 + 1e-6));
         need_seen_ = static_cast<int>(std::ceil(options.min_seen * static_cast<double>(views_.size()) - 1e-9));
         for (int a = 0; a < 3; ++a) {
             lo_[a] = options.bounds_world.min()[a];
@@ -147,27 +177,49 @@ class Carver {
                 range_.min[a] = std::max(range_.min[a], options.brick->min[a]);
                 range_.max[a] = std::min(range_.max[a], options.brick->max[a]);
             }
+        set_batch(0, inputs.size());
+    }
+
+    /// The views whose fields are there. The others keep their ignored regions, which count at the end.
+    void set_batch(size_t first, size_t last) {
+        batch_.clear();
+        for (size_t i = first; i < last; ++i) batch_.push_back(static_cast<uint16_t>(i));
+        last_ = last == views_.size();
+    }
+    void set_field(size_t view, const DistanceField* field) {
+        inputs_[view].field = field;
+        views_[view] = make_carve_view(inputs_[view], options_);
+    }
+    /// The silhouette of a view is gone; what it ignores stays, read from `kept`.
+    void drop_silhouette(size_t view, const SampledField& kept) {
+        views_[view].silhouette = {};
+        views_[view].ignored = kept.empty() ? kernel::FieldView{} : kept.view();
     }
 
     const IndexBox& range() const { return range_; }
     float band() const { return band_f_; }
 
-    void carve_root(const int origin[3], int size, Found& found) const {
-        std::vector<uint16_t> all(views_.size());
-        for (size_t i = 0; i < all.size(); ++i) all[i] = static_cast<uint16_t>(i);
+    /// Asks the batch's views about a node, from the coarse to the fine.
+    void ask(OpenNode node, Found& found) const {
         std::vector<std::vector<uint16_t>> lists(8);
         Walk walk{found, lists, {}};
-        descend(walk, {{origin[0], origin[1], origin[2]}, size, all.data(), static_cast<int>(all.size()), 0, need_seen_ <= 0, false}, 0);
+        descend(walk, {{node.origin[0], node.origin[1], node.origin[2]}, node.size, batch_.data(), static_cast<int>(batch_.size()), node.certain_misses, need_seen_ <= 0, false},
+                0, std::move(node.leaf));
     }
 
   private:
+    struct Cut {
+        float silhouette_px;
+        uint16_t view;
+        bool clear_of_frame;
+    };
     struct Walk {
         Found& found;
-        std::vector<std::vector<uint16_t>>& lists;  ///< active views, one list a level
-        std::vector<char> clear_of_frame;           ///< of the views in the last list made (NodeAnswers)
+        std::vector<std::vector<uint16_t>>& lists;  ///< views that still matter, one list a level
+        std::vector<Cut> cuts;                      ///< those of the last list made
     };
 
-    void descend(Walk& walk, const NodeState& node, size_t level) const {
+    void descend(Walk& walk, const NodeState& node, size_t level, std::unique_ptr<OpenLeaf> leaf = {}) const {
         for (int a = 0; a < 3; ++a) {
             const auto s = static_cast<size_t>(a);
             if (node.origin[a] >= range_.max[s] || node.origin[a] + node.size <= range_.min[s]) return;
@@ -186,10 +238,7 @@ class Carver {
             state.in_box = d + radius + rounding < -band_;
         }
 
-        if (walk.lists.size() <= level) walk.lists.resize(level + 1);
-        std::vector<uint16_t>& list = walk.lists[level];
-        list.clear();
-        walk.clear_of_frame.clear();
+        walk.cuts.clear();
         walk.found.node_tests += static_cast<size_t>(node.view_count);
         for (int i = 0; i < node.view_count; ++i) {
             const CarveView& view = views_[node.views[i]];
@@ -197,11 +246,11 @@ class Carver {
             if (answers.hull == NodeAnswer::Out) {
                 if (++state.certain_misses > options_.max_misses) return;
             } else if (answers.hull == NodeAnswer::Mixed) {
-                list.push_back(node.views[i]);
-                walk.clear_of_frame.push_back(answers.clear_of_frame);
+                walk.cuts.push_back({answers.silhouette_px, node.views[i], answers.clear_of_frame});
             }
         }
-        if (!state.seen) {
+        // With other views still to come nothing is known about how many see the node.
+        if (last_ && !state.seen) {
             int seen_whole = 0, seen_maybe = 0;
             walk.found.node_tests += views_.size();
             for (const CarveView& view : views_) {
@@ -212,26 +261,41 @@ class Carver {
             if (seen_maybe < need_seen_) return;
             state.seen = seen_whole >= need_seen_;
         }
-        state.views = list.data();
-        state.view_count = static_cast<int>(list.size());
-
-        // No view can still bring the node past the allowed misses, nor can the frame or the box.
-        if (state.seen && state.in_box && state.certain_misses + state.view_count <= options_.max_misses) state.view_count = 0;
-        if (state.seen && state.in_box && state.view_count == 0) {
-            // A node that reaches past the brick is cut up further; leaves are clipped voxel by voxel.
-            const bool whole = !options_.occupancy || in_range(node);
-            if (whole) {
-                if (options_.occupancy) walk.found.inside.emplace_back(Coord(node.origin[0], node.origin[1], node.origin[2]), node.size);
+        if (!leaf) {
+            if (!last_ && walk.cuts.empty()) {
+                walk.found.open.push_back({{node.origin[0], node.origin[1], node.origin[2]}, node.size, state.certain_misses, {}});
                 return;
+            }
+            // No view can still bring the node past the allowed misses, nor can the frame or the box.
+            if (last_ && state.seen && state.in_box && state.certain_misses + static_cast<int>(walk.cuts.size()) <= options_.max_misses) {
+                if (!options_.occupancy) return;
+                // A node that reaches past the brick is cut up further; leaves are clipped voxel by voxel.
+                if (in_range(node)) {
+                    walk.found.inside.emplace_back(Coord(node.origin[0], node.origin[1], node.origin[2]), node.size);
+                    return;
+                }
             }
         }
         if (node.size == 8) {
-            if (options_.occupancy)
-                ask_leaf_binary(walk.found, state);
-            else
-                ask_leaf(walk.found, state, walk.clear_of_frame);
+            if (!leaf) {
+                leaf = std::make_unique<OpenLeaf>();
+                const size_t ranks = options_.occupancy ? 1 : static_cast<size_t>(options_.max_misses) + 1;
+                leaf->largest.assign(ranks * kLeafVoxels, options_.occupancy ? 0.f : -band_f_);
+            }
+            // Views that show most background first: what they carve need not be asked again.
+            std::sort(walk.cuts.begin(), walk.cuts.end(),
+                      [](const Cut& a, const Cut& b) { return a.silhouette_px != b.silhouette_px ? a.silhouette_px > b.silhouette_px : a.view < b.view; });
+            const bool some_left = options_.occupancy ? ask_binary(walk, state, *leaf) : ask_leaf(walk, state, *leaf);
+            if (!some_left) return;
+            if (!last_) walk.found.open.push_back({{node.origin[0], node.origin[1], node.origin[2]}, node.size, state.certain_misses, std::move(leaf)});
+            else if (options_.occupancy) finish_binary(walk.found, state, *leaf);
+            else finish_leaf(walk.found, state, *leaf);
             return;
         }
+        if (walk.lists.size() <= level) walk.lists.resize(level + 1);
+        walk.lists[level].clear();
+        for (const Cut& cut : walk.cuts) walk.lists[level].push_back(cut.view);
+        state.view_count = static_cast<int>(walk.cuts.size());
         const int half_size = node.size / 2;
         for (int child = 0; child < 8; ++child) {
             NodeState next = state;
@@ -247,74 +311,111 @@ class Carver {
         return options_.lattice.world_from_index(Vec3d(origin[0] + i, origin[1] + j, origin[2] + k));
     }
 
-    void ask_leaf(Found& found, const NodeState& node, const std::vector<char>& clear_of_frame) const {
-        // The rank-th largest value among the views that still matter; certain misses are larger than all.
-        const int rank = options_.max_misses - node.certain_misses + 1;
-        float largest[kMaxMisses + 1][kLeafVoxels];
-        for (int r = 0; r < rank; ++r) std::fill_n(largest[r], kLeafVoxels, -band_f_);
-        float values[kLeafVoxels];
-        for (int n = 0; n < node.view_count; ++n) {
-            view_values(views_[node.views[n]], node, clear_of_frame[static_cast<size_t>(n)] != 0, values);
-            found.voxel_lookups += kLeafVoxels;
-            float smallest = band_f_;
-            if (rank == 1) {
-                for (int at = 0; at < kLeafVoxels; ++at) {
-                    largest[0][at] = kernel::max_f(largest[0][at], values[at]);
-                    smallest = kernel::min_f(smallest, largest[0][at]);
-                }
-            } else {
-                for (int at = 0; at < kLeafVoxels; ++at) {
-                    float v = values[at];
-                    for (int r = 0; r < rank && v > -band_f_; ++r)
-                        if (v > largest[r][at]) std::swap(v, largest[r][at]);
-                    smallest = kernel::min_f(smallest, largest[rank - 1][at]);
-                }
-            }
-            if (smallest >= band_f_) return;  // outside everywhere already
-        }
-        float* value = largest[rank - 1];
-        if (!node.seen) raise_unseen(found, node, value);
+    /// Which of the kept values decides a cell: the (max_misses + 1)-th largest of all views, certain misses being larger.
+    int rank_of(const NodeState& node, const OpenLeaf& leaf, int cell) const { return options_.max_misses - node.certain_misses - leaf.cell_misses[cell]; }
 
-        auto leaf = std::make_unique<Leaf>(Coord(node.origin[0], node.origin[1], node.origin[2]), band_f_, false);
-        float* data = leaf->buffer().data();
-        const float surface = 0.5f * static_cast<float>(options_.lattice.voxel_size);
-        bool any = false;
-        for (int i = 0; i < 8; ++i)
-            for (int j = 0; j < 8; ++j)
-                for (int k = 0; k < 8; ++k) {
-                    const int at = i << 6 | j << 3 | k;
-                    float v = value[at];
-                    bool cap = false;
-                    if (!node.in_box) {
-                        const Vec3d p = world_of(node.origin, i, j, k);
-                        const double xyz[3] = {p.x(), p.y(), p.z()};
-                        const float box = kernel::clamp_f(static_cast<float>(kernel::box_distance(xyz, lo_, hi_)), -band_f_, band_f_);
-                        cap = box > v;
-                        v = kernel::max_f(v, box);
-                    }
-                    data[at] = v;
-                    found.negative += v < 0;
-                    if (v > -band_f_ && v < band_f_) {
-                        leaf->setValueOn(static_cast<openvdb::Index>(at));
-                        any = true;
-                        if (std::fabs(v) <= surface) {
-                            ++found.surface;
-                            found.capped += cap;
-                        }
-                    }
+    /// Takes in what the cutting views say of a leaf's voxels. False when all of it is outside.
+    bool ask_leaf(Walk& walk, const NodeState& node, OpenLeaf& leaf) const {
+        const int ranks = options_.max_misses + 1;
+        const VectorLoops& loops = vector_loops();
+        alignas(64) float values[kLeafVoxels];
+        const auto bury = [&](int cell) {
+            if (rank_of(node, leaf, cell) < 0) leaf.alive &= ~(1u << cell);
+        };
+        for (int cell = 0; cell < kLeafCells; ++cell) bury(cell);
+        for (const Cut& cut : walk.cuts) {
+            if (!leaf.alive) return false;
+            const CarveView& view = views_[cut.view];
+            CellAnswers answers{0, leaf.alive, 0};
+            if (ranks == 1 && cut.clear_of_frame) {
+                answers = loops.raise_leaf(view, node.origin, leaf.alive, cell_radius_, band_f_, leaf.largest.data());
+                leaf.alive &= ~(answers.out | answers.full);
+                walk.found.voxel_lookups += static_cast<size_t>(__builtin_popcount(answers.mixed)) * kCellVoxels;
+                continue;
+            }
+            std::fill_n(values, kLeafVoxels, -band_f_);
+            if (cut.clear_of_frame) answers = loops.raise_leaf(view, node.origin, leaf.alive, cell_radius_, band_f_, values);
+            else view_values(view, node, leaf.alive, values);
+            for (int cell = 0; cell < kLeafCells; ++cell) {
+                if (answers.out >> cell & 1) {
+                    ++leaf.cell_misses[cell];
+                    bury(cell);
                 }
-        if (any) found.leaves.push_back(std::move(leaf));
+                if (!(answers.mixed >> cell & 1)) continue;
+                walk.found.voxel_lookups += kCellVoxels;
+                const float* v = values + cell * kCellVoxels;
+                float* largest = leaf.largest.data() + cell * kCellVoxels;
+                const int rank = rank_of(node, leaf, cell);
+                float smallest = band_f_;
+                for (int n = 0; n < kCellVoxels; ++n) {
+                    float x = v[n];
+                    for (int r = 0; r < ranks && x > -band_f_; ++r)
+                        if (x > largest[r * kLeafVoxels + n]) std::swap(x, largest[r * kLeafVoxels + n]);
+                    smallest = kernel::min_f(smallest, largest[rank * kLeafVoxels + n]);
+                }
+                if (smallest >= band_f_) leaf.alive &= ~(1u << cell);
+            }
+        }
+        return leaf.alive != 0;
     }
 
-    /// kernel::view_value of all voxels of a leaf.
-    void view_values(const CarveView& view, const NodeState& node, bool clear_of_frame, float* values) const {
+    /// kernel::view_value of all voxels of the cells, for a view whose frame may end here.
+    void view_values(const CarveView& view, const NodeState& node, unsigned cells, float* values) const {
         const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(view, node.origin[0], node.origin[1], node.origin[2]);
-        if (clear_of_frame) {
-            leaf_silhouette_values(view, to_camera, band_f_, values);
-            return;
+        for_each_row([&](int at, int in_cell) {
+            if (!(cells >> (in_cell >> 6) & 1)) return;
+            for (int k = 0; k < 4; ++k)
+                values[in_cell + k] = kernel::view_value(view, voxel_in_camera(to_camera, at + k), near_, band_f_);
+        });
+    }
+    static kernel::Vec3 voxel_in_camera(const kernel::LeafToCamera& leaf, int at) {
+        return kernel::voxel_in_camera(leaf, static_cast<float>(at >> 6), static_cast<float>(at >> 3 & 7), static_cast<float>(at & 7));
+    }
+
+    /// All views have spoken: frames, bounds, and into the tree's form.
+    void finish_leaf(Found& found, const NodeState& node, const OpenLeaf& open) const {
+        alignas(64) float value[kLeafVoxels];
+        const float* ranked[kLeafCells];
+        for (int cell = 0; cell < kLeafCells; ++cell)
+            ranked[cell] = open.alive >> cell & 1 ? open.largest.data() + rank_of(node, open, cell) * kLeafVoxels + cell * kCellVoxels : nullptr;
+        for_each_row([&](int at, int in_cell) {
+            const float* from = ranked[in_cell >> 6];
+            if (from) std::copy_n(from + (in_cell & 63), 4, value + at);
+            else std::fill_n(value + at, 4, band_f_);
+        });
+        if (!node.seen) raise_unseen(found, node, value);
+        const float surface = 0.5f * static_cast<float>(options_.lattice.voxel_size);
+        if (!node.in_box) {
+            for (int at = 0; at < kLeafVoxels; ++at) {
+                const Vec3d p = world_of(node.origin, at >> 6, at >> 3 & 7, at & 7);
+                const double xyz[3] = {p.x(), p.y(), p.z()};
+                const float box = kernel::clamp_f(static_cast<float>(kernel::box_distance(xyz, lo_, hi_)), -band_f_, band_f_);
+                found.capped += box > value[at] && std::fabs(box) <= surface;
+                value[at] = kernel::max_f(value[at], box);
+            }
         }
-        for (int at = 0; at < kLeafVoxels; ++at)
-            values[at] = kernel::view_value(view, kernel::voxel_in_camera(to_camera, at >> 6, (at >> 3) & 7, at & 7), near_, band_f_);
+        openvdb::util::NodeMask<3> active;
+        uint64_t any = 0;
+        size_t negative = 0, near_surface = 0;
+        for (int i = 0; i < 8; ++i) {
+            uint64_t word = 0;
+            for (int jk = 0; jk < 64; ++jk) {
+                const float v = value[i << 6 | jk];
+                word |= static_cast<uint64_t>(v > -band_f_ && v < band_f_) << jk;
+                negative += v < 0;
+                near_surface += std::fabs(v) <= surface;
+            }
+            active.getWord<openvdb::Index64>(static_cast<openvdb::Index>(i)) = word;
+            any |= word;
+        }
+        found.negative += negative;
+        if (!any) return;
+        found.surface += near_surface;
+        auto leaf = std::make_unique<Leaf>(openvdb::PartialCreate(), Coord(node.origin[0], node.origin[1], node.origin[2]), band_f_, false);
+        leaf->allocate();
+        std::copy_n(value, kLeafVoxels, leaf->buffer().data());
+        leaf->setValueMask(active);
+        found.leaves.push_back(std::move(leaf));
     }
 
     /// v = max(v, the need_seen-th smallest distance to the views' frames).
@@ -322,11 +423,8 @@ class Carver {
         std::vector<float> all(views_.size() * kLeafVoxels), one(views_.size());
         for (size_t n = 0; n < views_.size(); ++n) {
             const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(views_[n], node.origin[0], node.origin[1], node.origin[2]);
-            for (int i = 0; i < 8; ++i)
-                for (int j = 0; j < 8; ++j)
-                    for (int k = 0; k < 8; ++k)
-                        all[n * kLeafVoxels + static_cast<size_t>(i << 6 | j << 3 | k)] =
-                            kernel::unseen_value(views_[n], kernel::voxel_in_camera(to_camera, i, j, k), near_, band_f_);
+            for (int at = 0; at < kLeafVoxels; ++at)
+                all[n * kLeafVoxels + static_cast<size_t>(at)] = kernel::unseen_value(views_[n], voxel_in_camera(to_camera, at), near_, band_f_);
         }
         found.voxel_lookups += views_.size() * kLeafVoxels;
         const auto nth = one.begin() + (need_seen_ - 1);
@@ -337,28 +435,30 @@ class Carver {
         }
     }
 
-    void ask_leaf_binary(Found& found, const NodeState& node) const {
-        int misses[kLeafVoxels], seen[kLeafVoxels];
-        std::fill_n(misses, kLeafVoxels, node.certain_misses);
-        std::fill_n(seen, kLeafVoxels, 0);
-        const auto ask = [&](const CarveView& view, bool count_misses, bool count_seen) {
+    /// The binary model's misses, counted in leaf.largest (in the leaf's own order).
+    bool ask_binary(Walk& walk, const NodeState& node, OpenLeaf& leaf) const {
+        for (const Cut& cut : walk.cuts) {
+            const CarveView& view = views_[cut.view];
             const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(view, node.origin[0], node.origin[1], node.origin[2]);
-            for (int i = 0; i < 8; ++i)
-                for (int j = 0; j < 8; ++j)
-                    for (int k = 0; k < 8; ++k) {
-                        const kernel::BinaryAnswer a = kernel::binary_answer(view, kernel::voxel_in_camera(to_camera, i, j, k), near_);
-                        misses[i << 6 | j << 3 | k] += count_misses && a.background;
-                        seen[i << 6 | j << 3 | k] += count_seen && a.seen;
-                    }
-            found.voxel_lookups += kLeafVoxels;
-        };
-        for (int n = 0; n < node.view_count; ++n) ask(views_[node.views[n]], true, false);
+            for (int at = 0; at < kLeafVoxels; ++at)
+                leaf.largest[static_cast<size_t>(at)] += kernel::binary_answer(view, voxel_in_camera(to_camera, at), near_).background;
+            walk.found.voxel_lookups += kLeafVoxels;
+        }
+        return true;
+    }
+
+    void finish_binary(Found& found, const NodeState& node, const OpenLeaf& open) const {
+        int seen[kLeafVoxels] = {};
         if (!node.seen)
-            for (const CarveView& view : views_) ask(view, false, true);
+            for (const CarveView& view : views_) {
+                const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(view, node.origin[0], node.origin[1], node.origin[2]);
+                for (int at = 0; at < kLeafVoxels; ++at) seen[at] += kernel::seen_at(view, voxel_in_camera(to_camera, at), near_);
+                found.voxel_lookups += kLeafVoxels;
+            }
         auto leaf = std::make_unique<MaskLeaf>(Coord(node.origin[0], node.origin[1], node.origin[2]), false, false);
         bool any = false;
         for (int at = 0; at < kLeafVoxels; ++at) {
-            if (misses[at] > options_.max_misses || (!node.seen && seen[at] < need_seen_)) continue;
+            if (node.certain_misses + static_cast<int>(open.largest[static_cast<size_t>(at)]) > options_.max_misses || (!node.seen && seen[at] < need_seen_)) continue;
             if (!in_range(node.origin, at)) continue;
             leaf->setValueOn(static_cast<openvdb::Index>(at));
             any = true;
@@ -378,13 +478,23 @@ class Carver {
     }
 
     const CarveOptions& options_;
+    std::vector<CarveInput> inputs_;
     std::vector<CarveView> views_;
+    std::vector<uint16_t> batch_;  ///< the views asked now
+    bool last_ = true;             ///< no views come after them
     double band_ = 0;
-    float band_f_ = 0, near_ = 0;
+    float band_f_ = 0, near_ = 0, cell_radius_ = 0;
     int need_seen_ = 0;
     double lo_[3], hi_[3];
     IndexBox range_;
 };
+
+void check_field(const std::string& name, const Intrinsics& k, const DistanceField& field, const CarveOptions& options) {
+    if (field.silhouette.samples.size() > 0x7fffffff) throw UsageError("carve: view " + name + ": more than 2^31 pixels");
+    if (field.silhouette.empty() || field.mask_width != k.width_px || field.mask_height != k.height_px)
+        throw UsageError("carve: view " + name + ": the distance field has not the camera's size");
+    if (options.occupancy && field.scale != 1) throw UsageError("carve: the binary model wants a sample a pixel, view " + name + " has a field-scale of " + std::to_string(field.scale));
+}
 
 void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o) {
     std::string bad;
@@ -410,14 +520,14 @@ void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o)
     if (far.maxCoeff() > 1e9) throw UsageError("carve: the bounds are " + std::to_string(far.maxCoeff()) + " voxels from the origin, at most 1e9. Remedy: --origin near the object");
     for (const CarveInput& i : inputs) {
         const Intrinsics& k = i.camera.intrinsics;
-        if (i.silhouette_px.pixels() > 0x7fffffff) throw UsageError("carve: view " + i.name + ": more than 2^31 pixels");
-        if (i.silhouette_px.width != k.width_px || i.silhouette_px.height != k.height_px)
-            throw UsageError("carve: view " + i.name + ": the distance field has not the camera's size");
+        if (i.field) check_field(i.name, k, *i.field, o);
     }
 }
 
 /// Says why nothing is left, by asking every view about a raster of points.
 [[noreturn]] void explain_empty(const std::vector<CarveInput>& inputs, const CarveOptions& options) {
+    for (const CarveInput& input : inputs)
+        if (!input.field) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all views at once and names them");
     constexpr int kSide = 48;
     const auto n = inputs.size();
     std::vector<kernel::CarveView> views;
@@ -477,9 +587,12 @@ void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o)
 
 }  // namespace
 
-CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress) {
+namespace {
+
+/// One batch or several: `fields_of` is null when the inputs hold all fields.
+CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource* fields_of, const CarveOptions& options, Progress& progress) {
     check_options(inputs, options);
-    const Carver carver(inputs, options);
+    Carver carver(inputs, options);
     const IndexBox& range = carver.range();
 
     // Root nodes large enough to skip empty space, small enough to share out: the result does not depend on it.
@@ -496,11 +609,36 @@ CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& opt
     while (roots.size() < 256 && root_size > 16) roots = roots_of(root_size /= 2);
 
     std::vector<Found> found(roots.size());
-    progress.begin("carve", roots.size());
-    tbb::parallel_for(size_t{0}, roots.size(), [&](size_t r) {
-        carver.carve_root(roots[r].data(), root_size, found[r]);
-        progress.step();
-    });
+    const size_t batches = fields_of ? (inputs.size() + batch - 1) / batch : 1;
+    progress.begin("carve", roots.size() * batches);
+    std::vector<SampledField> ignored(inputs.size());
+    for (size_t b = 0; b < batches; ++b) {
+        std::vector<DistanceField> fields;
+        const size_t first = b * batch, last = fields_of ? std::min(inputs.size(), first + batch) : inputs.size();
+        if (fields_of) {
+            fields = (*fields_of)(first, last);
+            for (size_t i = first; i < last; ++i) {
+                check_field(inputs[i].name, inputs[i].camera.intrinsics, fields[i - first], options);
+                carver.set_field(i, &fields[i - first]);
+            }
+            carver.set_batch(first, last);
+        }
+        tbb::parallel_for(size_t{0}, roots.size(), [&](size_t r) {
+            Found& f = found[r];
+            if (b == 0) {
+                carver.ask({{roots[r][0], roots[r][1], roots[r][2]}, root_size, 0, {}}, f);
+            } else {
+                std::vector<OpenNode> open = std::move(f.open);
+                f.open.clear();
+                for (OpenNode& node : open) carver.ask(std::move(node), f);
+            }
+            progress.step();
+        });
+        for (size_t i = first; i < last && fields_of; ++i) {
+            ignored[i] = std::move(fields[i - first].ignored);
+            carver.drop_silhouette(i, ignored[i]);
+        }
+    }
 
     CarveResult result;
     size_t surface = 0, capped = 0, negative = 0;
@@ -551,6 +689,21 @@ CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& opt
     result.statistics.active_voxels = tree.activeVoxelCount();
     result.statistics.bytes = tree.memUsage();
     return result;
+}
+
+}  // namespace
+
+CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress) {
+    for (const CarveInput& input : inputs)
+        if (!input.field) throw UsageError("carve: view " + input.name + " has no distance field");
+    return run(inputs, inputs.size(), nullptr, options, progress);
+}
+
+CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource& fields_of, const CarveOptions& options, Progress& progress) {
+    if (batch == 0) throw UsageError("carve: a batch of no views");
+    std::vector<CarveInput> bare = inputs;
+    for (CarveInput& input : bare) input.field = nullptr;
+    return run(bare, batch, &fields_of, options, progress);
 }
 
 openvdb::FloatGrid::Ptr merge_bricks(const std::vector<openvdb::FloatGrid::Ptr>& bricks) {

@@ -4,149 +4,217 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <cmath>
 #include <string>
 
 #include "vdbcarve/error.h"
 #include "vdbcarve/kernel/distance.h"
+#include "vector_loops.h"
 
 namespace vdbcarve {
-namespace {
 
-using namespace kernel;
-
-constexpr int64_t kFar = INT64_MAX;
-
-/// Squared distance, in (1/64 px)^2, from every pixel centre to the nearest crossing on a vertical edge; kFar where
-/// there is none. Row-major. Two passes: along columns, all columns of a row at once, then across them.
-std::vector<int64_t> vertical_crossings(ImageView<uint8_t> m) {
-    const auto width = static_cast<size_t>(m.width), height = static_cast<size_t>(m.height);
-    std::vector<int32_t> along(width * height, kNoSite);
-    for (size_t y = 1; y < height; ++y) {
-        const uint8_t *above = m.data + (y - 1) * width, *here = above + width;
-        int32_t *d_above = along.data() + (y - 1) * width, *d_here = d_above + width;
-        for (size_t x = 0; x < width; ++x) {
-            d_here[x] = std::min(d_above[x] + kSubpixel, kNoSite);
-            if (is_object(above[x]) != is_object(here[x])) {
-                const int t = crossing(above[x], here[x]);
-                d_above[x] = std::min(d_above[x], t);
-                d_here[x] = kSubpixel - t;
-            }
-        }
-    }
-    for (size_t y = height - 1; y-- > 0;) {
-        const int32_t* below = along.data() + (y + 1) * width;
-        int32_t* here = along.data() + y * width;
-        for (size_t x = 0; x < width; ++x) here[x] = std::min(here[x], std::min(below[x] + kSubpixel, kNoSite));
-    }
-
-    // Lower envelope of the parabolas (64 (x - site))^2 + along^2 of each row.
-    const int64_t unit2 = static_cast<int64_t>(kSubpixel) * kSubpixel;
-    std::vector<int64_t> squared(width * height, kFar), start(width), height2(width);
-    std::vector<int> site(width);
-    for (size_t y = 0; y < height; ++y) {
-        const int32_t* d = along.data() + y * width;
-        int top = -1;
-        for (int x = 0; x < m.width; ++x) {
-            if (d[x] >= kNoSite) continue;
-            const int64_t d2 = static_cast<int64_t>(d[x]) * d[x];
-            int64_t from = 0;
-            while (top >= 0) {
-                const auto t = static_cast<size_t>(top);
-                from = parabola_switch(site[t], height2[t], x, d2) + 1;
-                if (from > start[t]) break;
-                --top;
-            }
-            if (top < 0) from = 0;
-            if (from >= m.width) continue;
-            ++top;
-            site[static_cast<size_t>(top)] = x;
-            height2[static_cast<size_t>(top)] = d2;
-            start[static_cast<size_t>(top)] = from;
-        }
-        if (top < 0) continue;
-        int64_t* row = squared.data() + y * width;
-        for (int64_t x = m.width - 1; x >= 0; --x) {
-            while (start[static_cast<size_t>(top)] > x) --top;
-            const int64_t dx = x - site[static_cast<size_t>(top)];
-            row[x] = unit2 * dx * dx + height2[static_cast<size_t>(top)];
-        }
-    }
-    return squared;
+kernel::FieldView SampledField::view() const {
+    constexpr float kFar = 1e30f;
+    const auto edge = [&](int side, int at) { return cut[side] ? static_cast<float>(at) : (side < 2 ? -kFar : kFar); };
+    return {samples.empty() ? nullptr : samples.data(), width, height, static_cast<float>(x0), static_cast<float>(y0), reach,
+            blocks.data(), blocks_per_row, edge(0, x0), edge(1, y0), edge(2, x0 + width), edge(3, y0 + height)};
 }
 
-/// Rows become columns, in tiles that fit the cache.
-Image8 transposed(ImageView<uint8_t> m) {
-    constexpr int kTile = 32;
-    Image8 out(m.height, m.width);
-    for (int y0 = 0; y0 < m.height; y0 += kTile)
-        for (int x0 = 0; x0 < m.width; x0 += kTile)
-            for (int x = x0; x < std::min(x0 + kTile, m.width); ++x)
-                for (int y = y0; y < std::min(y0 + kTile, m.height); ++y) out.at(y, x) = m.at(x, y);
+float SampledField::at(int x, int y) const {
+    x = std::clamp(x - x0, 0, width - 1);
+    y = std::clamp(y - y0, 0, height - 1);
+    return static_cast<float>(samples[static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x)]) / kernel::kFieldUnits;
+}
+
+namespace {
+
+using kernel::kBlock_px;
+
+struct Box {
+    int x0 = INT32_MAX, y0 = INT32_MAX, x1 = -1, y1 = -1;  ///< inclusive
+    bool empty() const { return x1 < x0; }
+};
+
+Box object_box(ImageView<uint8_t> m) {
+    Box box;
+    for (int y = 0; y < m.height; ++y) {
+        const uint8_t* row = m.data + static_cast<size_t>(y) * static_cast<size_t>(m.width);
+        int first = 0, last = m.width - 1;
+        while (first < m.width && !kernel::is_object(row[first])) ++first;
+        if (first == m.width) continue;
+        while (!kernel::is_object(row[last])) --last;
+        box.x0 = std::min(box.x0, first);
+        box.x1 = std::max(box.x1, last);
+        if (box.y0 == INT32_MAX) box.y0 = y;
+        box.y1 = y;
+    }
+    return box;
+}
+
+/// Distance, in blocks, to the nearest block that has `side` (row-major flags), that many blocks at most kFarBlocks:
+/// between the blocks' nearest edges, so that neighbours are 0 apart. Exact, rounded down to 1/8 block, in pixels.
+std::vector<int> block_distances(const std::vector<char>& side, int columns, int rows) {
+    constexpr int kFarBlocks = 1 << 12;
+    const auto at = [&](int x, int y) { return static_cast<size_t>(y) * static_cast<size_t>(columns) + static_cast<size_t>(x); };
+    std::vector<int> along(side.size());
+    for (int x = 0; x < columns; ++x) {
+        int d = kFarBlocks;
+        for (int y = 0; y < rows; ++y) along[at(x, y)] = d = side[at(x, y)] ? 0 : std::min(d + 1, kFarBlocks);
+        d = kFarBlocks;
+        for (int y = rows - 1; y >= 0; --y) along[at(x, y)] = d = std::min(along[at(x, y)], d + 1);
+    }
+    const auto gap = [](int blocks) { return std::max(blocks - 1, 0) * kBlock_px; };
+    std::vector<int> out(side.size());
+    for (int y = 0; y < rows; ++y)
+        for (int x = 0; x < columns; ++x) {
+            int64_t best = INT64_MAX;
+            for (int d = 0; d < columns; ++d) {
+                const int64_t across = gap(d);
+                if (across * across >= best) break;
+                for (const int n : {x - d, x + d}) {
+                    if (n < 0 || n >= columns || along[at(n, y)] >= kFarBlocks) continue;
+                    const int64_t down = gap(along[at(n, y)]);
+                    best = std::min(best, across * across + down * down);
+                }
+            }
+            out[at(x, y)] = best == INT64_MAX ? INT16_MAX : static_cast<int>(std::sqrt(static_cast<double>(best)));
+        }
+    return out;
+}
+
+/// FieldView::blocks of a window: the contour is at most a pixel from a centre on either side of it.
+void fill_blocks(SampledField& field, ImageView<uint8_t> m, double offset) {
+    const int columns = (field.width + kBlock_px - 1) / kBlock_px, rows = (field.height + kBlock_px - 1) / kBlock_px;
+    std::vector<char> object(static_cast<size_t>(columns) * static_cast<size_t>(rows)), background(object.size());
+    for (int y = 0; y < field.height; ++y) {
+        const uint8_t* row = m.data + static_cast<size_t>(field.y0 + y) * static_cast<size_t>(m.width) + field.x0;
+        for (int bx = 0; bx < columns; ++bx) {
+            bool any = false, all = true;
+            for (int x = bx * kBlock_px; x < std::min((bx + 1) * kBlock_px, field.width); ++x) {
+                any |= kernel::is_object(row[x]);
+                all &= kernel::is_object(row[x]);
+            }
+            const size_t at = static_cast<size_t>(y / kBlock_px) * static_cast<size_t>(columns) + static_cast<size_t>(bx);
+            object[at] = static_cast<char>(object[at] | any);
+            background[at] = static_cast<char>(background[at] | !all);
+        }
+    }
+    const std::vector<int> to_object = block_distances(object, columns, rows), to_background = block_distances(background, columns, rows);
+    field.blocks_per_row = columns;
+    field.blocks.resize(object.size());
+    for (size_t b = 0; b < object.size(); ++b) {
+        const bool inside = !background[b];
+        // A block of one side only; the offset moves the contour towards the background.
+        const double away = (inside ? to_background[b] + offset : to_object[b] - offset) - 1;
+        const int bound = object[b] && background[b] ? 0 : static_cast<int>(std::clamp(std::floor(away), 0.0, 32000.0));
+        field.blocks[b] = static_cast<int16_t>(inside ? -bound : bound);
+    }
+}
+
+/// Signed distance over the window [x0, x1) x [y0, y1) of a mask.
+SampledField window_field(ImageView<uint8_t> m, int x0, int y0, int x1, int y1, double reach, double offset) {
+    SampledField out;
+    out.x0 = x0;
+    out.y0 = y0;
+    out.width = x1 - x0;
+    out.height = y1 - y0;
+    out.reach = static_cast<float>(reach);
+    out.cut[0] = x0 > 0;
+    out.cut[1] = y0 > 0;
+    out.cut[2] = x1 < m.width;
+    out.cut[3] = y1 < m.height;
+    out.samples.resize(static_cast<size_t>(out.width) * static_cast<size_t>(out.height));
+    thread_local std::vector<int32_t> scratch;
+    scratch.resize(std::max(scratch.size(), window_scratch(out.width, out.height)));
+    vector_loops().window_distance({m.data + static_cast<size_t>(y0) * static_cast<size_t>(m.width) + x0, m.width, out.width, out.height,
+                                    static_cast<int>((reach + std::fabs(offset)) * kernel::kSubpixel), static_cast<int>(std::lround(offset * kernel::kSubpixel)),
+                                    static_cast<int>(reach * kernel::kSubpixel), out.samples.data(), scratch.data()});
+    fill_blocks(out, m, offset);
+    return out;
+}
+
+/// Samples of `scale` x `scale` pixels; the last ones of a row or column may hold fewer.
+Image8 coarser(ImageView<uint8_t> m, int scale, bool largest) {
+    Image8 out((m.width + scale - 1) / scale, (m.height + scale - 1) / scale);
+    for (int y = 0; y < out.height; ++y)
+        for (int x = 0; x < out.width; ++x) {
+            int sum = 0, most = 0, n = 0;
+            for (int v = y * scale; v < std::min((y + 1) * scale, m.height); ++v)
+                for (int u = x * scale; u < std::min((x + 1) * scale, m.width); ++u, ++n) {
+                    sum += m.at(u, v);
+                    most = std::max<int>(most, m.at(u, v));
+                }
+            out.at(x, y) = static_cast<uint8_t>(largest ? most : (sum + n / 2) / n);
+        }
+    return out;
+}
+
+DistanceField field_of(const MaskView& mask, const DistanceOptions& options) {
+    DistanceField out;
+    out.scale = options.scale;
+    out.mask_width = mask.coverage.width;
+    out.mask_height = mask.coverage.height;
+    Image8 held, ignore_held;
+    ImageView<uint8_t> coverage = mask.coverage, ignore = mask.ignore;
+    if (options.scale > 1) {
+        coverage = held = coarser(mask.coverage, options.scale, options.conservative);
+        if (!ignore.empty()) ignore = ignore_held = coarser(mask.ignore, options.scale, true);
+    }
+    if (coverage.width < 2 || coverage.height < 2)
+        throw UsageError("a mask of " + std::to_string(mask.coverage.width) + " x " + std::to_string(mask.coverage.height) + " pixels has no contour" +
+                         (options.scale > 1 ? " at field-scale " + std::to_string(options.scale) : "") + "; 2 x 2 is the least");
+    const double offset = options.silhouette_offset_px / options.scale;
+    const double reach = std::min(options.reach_samples, kernel::kMaxReach_px - std::fabs(offset));
+    Image8 unknown_as_object;
+    if (!ignore.empty()) {
+        unknown_as_object = Image8(coverage.width, coverage.height);
+        Image8 seen = unknown_as_object;
+        for (size_t p = 0; p < coverage.pixels(); ++p) {
+            const bool ignored = ignore.data[p] != 0;
+            unknown_as_object.data[p] = ignored ? 255 : coverage.data[p];
+            seen.data[p] = ignored ? 0 : 255;
+        }
+        coverage = unknown_as_object;
+        out.ignored = window_field(seen, 0, 0, seen.width, seen.height, reach, 0);
+    }
+    const Box box = object_box(coverage);
+    if (box.empty()) {
+        out.silhouette = window_field(coverage, 0, 0, 2, 2, reach, 0);
+        return out;
+    }
+    out.object_box[0] = box.x0;
+    out.object_box[1] = box.y0;
+    out.object_box[2] = box.x1;
+    out.object_box[3] = box.y1;
+    // The contour is within a pixel of an object's pixel centre, the offset moves it; the border's samples saturate.
+    const int margin = static_cast<int>(std::ceil(reach + std::max(offset, 0.0))) + 2;
+    int x0 = std::max(0, box.x0 - margin), y0 = std::max(0, box.y0 - margin);
+    int x1 = std::min(coverage.width, box.x1 + 1 + margin), y1 = std::min(coverage.height, box.y1 + 1 + margin);
+    out.silhouette = window_field(coverage, x0, y0, x1, y1, reach, offset);
     return out;
 }
 
 }  // namespace
 
-ImageF signed_distance(ImageView<uint8_t> m) {
+ImageF signed_distance(ImageView<uint8_t> m, int reach_px) {
     if (m.width < 2 || m.height < 2)
         throw UsageError("a mask of " + std::to_string(m.width) + " x " + std::to_string(m.height) + " pixels has no contour; 2 x 2 is the least");
-    const int width = m.width, height = m.height;
-    // Crossings on horizontal edges are crossings on vertical edges of the transposed mask.
-    const std::vector<int64_t> vertical = vertical_crossings(m);
-    const std::vector<int64_t> horizontal = vertical_crossings(transposed(m));
-    ImageF out(width, height);
-    const auto none = static_cast<float>(width + height);
-    constexpr int kTile = 32;
-    for (int y0 = 0; y0 < height; y0 += kTile)
-        for (int x0 = 0; x0 < width; x0 += kTile)
-            for (int y = y0; y < std::min(y0 + kTile, height); ++y)
-                for (int x = x0; x < std::min(x0 + kTile, width); ++x) {
-                    const int64_t squared = std::min(vertical[static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x)],
-                                                     horizontal[static_cast<size_t>(x) * static_cast<size_t>(height) + static_cast<size_t>(y)]);
-                    out.at(x, y) = squared == kFar ? none : static_cast<float>(std::sqrt(static_cast<double>(squared)) / kSubpixel);
-                }
-
-    for (int y = 0; y + 1 < height; ++y)
-        for (int x = 0; x + 1 < width; ++x) {
-            const ContourPieces pieces = contour_pieces(m.at(x, y), m.at(x + 1, y), m.at(x + 1, y + 1), m.at(x, y + 1));
-            for (int p = 0; p < pieces.count; ++p) {
-                for (int py = std::max(0, y - kRefine_px); py <= std::min(height - 1, y + 1 + kRefine_px); ++py)
-                    for (int px = std::max(0, x - kRefine_px); px <= std::min(width - 1, x + 1 + kRefine_px); ++px) {
-                        const double d2 = segment_distance2_px((px - x) * kSubpixel, (py - y) * kSubpixel, pieces.ax[p], pieces.ay[p],
-                                                               pieces.bx[p], pieces.by[p]);
-                        float& d = out.at(px, py);
-                        if (d2 < static_cast<double>(d) * d) d = static_cast<float>(std::sqrt(d2));
-                    }
-            }
-        }
-    for (size_t i = 0; i < out.data.size(); ++i)
-        if (is_object(m.data[i])) out.data[i] = -out.data[i];
+    const SampledField field = window_field(m, 0, 0, m.width, m.height, reach_px, 0);
+    ImageF out(m.width, m.height);
+    for (size_t i = 0; i < out.data.size(); ++i) out.data[i] = static_cast<float>(field.samples[i]) / kernel::kFieldUnits;
     return out;
 }
 
 std::vector<DistanceField> distance_fields(const std::vector<MaskView>& masks, const DistanceOptions& options, Progress& progress) {
+    if (options.scale < 1) throw UsageError("distance: a field-scale of " + std::to_string(options.scale) + " px, must be >= 1");
+    if (!(options.reach_samples >= 4 && options.reach_samples <= kernel::kMaxReach_px))
+        throw UsageError("distance: a reach of " + std::to_string(options.reach_samples) + " samples, must be 4.." + std::to_string(kernel::kMaxReach_px));
+    if (!(std::fabs(options.silhouette_offset_px) <= kernel::kMaxReach_px / 2 * options.scale))
+        throw UsageError("distance: a silhouette offset of " + std::to_string(options.silhouette_offset_px) + " px, at most " + std::to_string(kernel::kMaxReach_px / 2 * options.scale));
     std::vector<DistanceField> out(masks.size());
     progress.begin("distance", masks.size());
     tbb::parallel_for(size_t{0}, masks.size(), [&](size_t i) {
-        const MaskView& mask = masks[i];
-        if (mask.coverage.empty()) {
-            progress.step();
-            return;
-        }
-        if (mask.ignore.empty()) {
-            out[i].silhouette = signed_distance(mask.coverage);
-        } else {
-            Image8 unknown_as_object(mask.coverage.width, mask.coverage.height), seen = unknown_as_object;
-            for (size_t p = 0; p < mask.coverage.pixels(); ++p) {
-                const bool ignored = mask.ignore.data[p] != 0;
-                unknown_as_object.data[p] = ignored ? 255 : mask.coverage.data[p];
-                seen.data[p] = ignored ? 0 : 255;
-            }
-            out[i].silhouette = signed_distance(unknown_as_object);
-            out[i].ignored = signed_distance(seen);
-        }
-        if (options.silhouette_offset_px != 0)
-            for (float& s : out[i].silhouette.data) s -= static_cast<float>(options.silhouette_offset_px);
+        if (!masks[i].coverage.empty()) out[i] = field_of(masks[i], options);
         progress.step();
     });
     return out;

@@ -1,44 +1,151 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/level_set.h"
 
-#include <openvdb/tools/FastSweeping.h>
+#include <openvdb/tools/ChangeBackground.h>
 #include <openvdb/tools/Morphology.h>
 #include <openvdb/tools/Prune.h>
 #include <openvdb/tools/SignedFloodFill.h>
 #include <openvdb/tree/LeafManager.h>
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
 
+#include <array>
+#include <atomic>
 #include <cmath>
+#include <unordered_map>
+
+#include "vdbcarve/kernel/level_set.h"
+#include "vector_loops.h"
 
 namespace vdbcarve {
 
-openvdb::FloatGrid::Ptr level_set(const openvdb::FloatGrid& hull, const LevelSetOptions& options, Progress& progress) {
-    progress.begin("level_set", 2);
-    const auto voxel = static_cast<float>(hull.voxelSize()[0]);
-    const float band = static_cast<float>(options.half_width_vox) * voxel;
-    if (hull.activeVoxelCount() == 0) throw InputError("level_set: the hull has no surface");
-    openvdb::FloatGrid::Ptr surface = openvdb::tools::sdfToSdf(hull, 0.0f, options.iterations);
-    if (!surface) throw InputError("level_set: the hull has no zero crossing");
-    progress.step();
+namespace {
 
-    const float least = 1e-6f * voxel;
-    openvdb::tree::LeafManager<openvdb::FloatTree> leaves(surface->tree());
-    const openvdb::FloatTree& before = hull.tree();
-    leaves.foreach ([&](openvdb::FloatTree::LeafNodeType& leaf, size_t) {
-        const auto* raw = before.probeConstLeaf(leaf.origin());
-        for (openvdb::Index at = 0; at < openvdb::FloatTree::LeafNodeType::SIZE; ++at) {
-            const float old = raw ? raw->getValue(at) : leaf.getValue(at);
-            const float sign = old < 0.f ? -1.f : 1.f;
-            float size = std::fabs(leaf.getValue(at));
-            // Sweeping may hand a voxel the other side's sign where two sheets are less than a voxel apart.
-            if ((leaf.getValue(at) < 0.f) != (old < 0.f)) size = least;
-            if (size < least) size = least;
-            if (size >= band) leaf.setValueOff(at, sign * band);
-            else leaf.setValueOn(at, sign * size);
+using Leaf = openvdb::FloatTree::LeafNodeType;
+
+/// The six neighbours of every leaf by number, -1 where there is none: -x +x -y +y -z +z.
+std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leaves) {
+    std::unordered_map<openvdb::Coord, int32_t> number;
+    number.reserve(2 * leaves.size());
+    for (size_t n = 0; n < leaves.size(); ++n) number[leaves[n]->origin()] = static_cast<int32_t>(n);
+    std::vector<std::array<int32_t, 6>> out(leaves.size());
+    tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t n) {
+        for (int f = 0; f < 6; ++f) {
+            openvdb::Coord c = leaves[n]->origin();
+            c[f / 2] += f % 2 ? 8 : -8;
+            const auto found = number.find(c);
+            out[n][static_cast<size_t>(f)] = found == number.end() ? -1 : found->second;
         }
     });
+    return out;
+}
+
+/// Where voxel (i, j, k), each -1..8, of a leaf stands in a 10^3 halo.
+constexpr int halo_at(int i, int j, int k) { return (i + 1) * 100 + (j + 1) * 10 + (k + 1); }
+
+/// Copies a leaf and the facing layers of its neighbours into a halo. `values_of(number)` are a leaf's 512 values;
+/// `beyond` stands in for a missing neighbour's, or the leaf's own border values do where it is NaN.
+template <class ValuesOf>
+void fill_halo(int32_t leaf, const std::array<int32_t, 6>& neighbours, const ValuesOf& values_of, const float* beyond, float* halo) {
+    const float* own = values_of(leaf);
+    for (int i = 0; i < 8; ++i)
+        for (int j = 0; j < 8; ++j) std::copy_n(own + (i << 6 | j << 3), 8, halo + halo_at(i, j, 0));
+    const auto layer = [&](int face, const auto& source, const auto& target) {
+        const int32_t n = neighbours[static_cast<size_t>(face)];
+        const float* from = n < 0 ? nullptr : values_of(n);
+        for (int a = 0; a < 8; ++a)
+            for (int b = 0; b < 8; ++b) halo[target(a, b)] = from ? from[source(a, b)] : (beyond ? *beyond : own[source(a, b) ^ (7 << (face / 2 == 0 ? 6 : face / 2 == 1 ? 3 : 0))]);
+    };
+    layer(0, [](int a, int b) { return 7 << 6 | a << 3 | b; }, [](int a, int b) { return halo_at(-1, a, b); });
+    layer(1, [](int a, int b) { return a << 3 | b; }, [](int a, int b) { return halo_at(8, a, b); });
+    layer(2, [](int a, int b) { return a << 6 | 7 << 3 | b; }, [](int a, int b) { return halo_at(a, -1, b); });
+    layer(3, [](int a, int b) { return a << 6 | b; }, [](int a, int b) { return halo_at(a, 8, b); });
+    layer(4, [](int a, int b) { return a << 6 | b << 3 | 7; }, [](int a, int b) { return halo_at(a, b, -1); });
+    layer(5, [](int a, int b) { return a << 6 | b << 3; }, [](int a, int b) { return halo_at(a, b, 8); });
+}
+
+}  // namespace
+
+openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOptions& options, Progress& progress) {
+    if (options.half_width_vox < 2 || options.half_width_vox > 100)
+        throw UsageError("level_set: half-width is " + std::to_string(options.half_width_vox) + " voxels, must be 2..100");
+    const auto voxel = static_cast<float>(hull->voxelSize()[0]);
+    const float band_vox = static_cast<float>(options.half_width_vox), band = band_vox * voxel;
+
+    openvdb::FloatGrid::Ptr surface = std::move(hull);
     surface->setName("surface");
     surface->setGridClass(openvdb::GRID_LEVEL_SET);
-    surface->setTransform(hull.transform().copy());
+    std::vector<Leaf*> leaves;
+    surface->tree().getNodes(leaves);
+    const size_t count = leaves.size();
+    const auto neighbours = neighbours_of(leaves);
+    // A pass reaches one voxel on; along a space diagonal a distance of w takes sqrt(3) w steps.
+    const int passes = static_cast<int>(std::ceil(std::sqrt(3.0) * options.half_width_vox)) + 1;
+    progress.begin("level_set", static_cast<size_t>(passes) + 2);
+    const VectorLoops& loops = vector_loops();
+
+    // Voxels beside the surface are measured from the raw values; the others wait at the band's edge. Two sets of
+    // magnitudes take turns, one of them in the leaves themselves, whose signs are kept as bits.
+    std::vector<float> beside_leaves(count * kLeafVoxels);
+    std::vector<uint64_t> frozen(count * 8, 0), negative(count * 8, 0);  // a bit a voxel
+    std::atomic<bool> crosses{false};
+    const auto in_leaves = [&](size_t n) { return leaves[n]->buffer().data(); };
+    const auto in_array = [&](size_t n) { return beside_leaves.data() + n * kLeafVoxels; };
+    const auto for_leaves = [&](const auto& work) {
+        tbb::parallel_for(tbb::blocked_range<size_t>(0, count, 16), [&](const tbb::blocked_range<size_t>& range) {
+            alignas(64) float halo[1000];
+            alignas(64) uint8_t flags[kLeafVoxels];
+            for (size_t n = range.begin(); n < range.end(); ++n) work(n, halo, flags);
+        });
+    };
+    for_leaves([&](size_t n, float* halo, uint8_t* flags) {
+        fill_halo(static_cast<int32_t>(n), neighbours[n], [&](int32_t m) -> const float* { return in_leaves(static_cast<size_t>(m)); }, nullptr, halo);
+        loops.measure_leaf(halo, band_vox, flags, in_array(n));
+        const float* raw = in_leaves(n);
+        uint64_t any = 0;
+        for (size_t i = 0; i < 8; ++i) {
+            for (size_t jk = 0; jk < 64; ++jk) {
+                frozen[n * 8 + i] |= static_cast<uint64_t>(flags[i << 6 | jk]) << jk;
+                negative[n * 8 + i] |= static_cast<uint64_t>(raw[i << 6 | jk] < 0.f) << jk;
+            }
+            any |= frozen[n * 8 + i];
+        }
+        if (any) crosses.store(true, std::memory_order_relaxed);
+    });
+    if (!crosses) throw InputError("level_set: the hull has no zero crossing");
+    progress.step();
+
+    const auto sweep = [&](const auto& from, const auto& to) {
+        for_leaves([&](size_t n, float* halo, uint8_t* flags) {
+            fill_halo(static_cast<int32_t>(n), neighbours[n], [&](int32_t m) -> const float* { return from(static_cast<size_t>(m)); }, &band_vox, halo);
+            for (size_t i = 0; i < 8; ++i)
+                for (size_t jk = 0; jk < 64; ++jk) flags[i << 6 | jk] = frozen[n * 8 + i] >> jk & 1;
+            loops.redistance_leaf(halo, flags, band_vox, to(n));
+        });
+        progress.step();
+    };
+    for (int pass = 0; pass < passes; ++pass) {
+        if (pass % 2) sweep(in_leaves, in_array);
+        else sweep(in_array, in_leaves);
+    }
+
+    tbb::parallel_for(size_t{0}, count, [&](size_t n) {
+        Leaf& leaf = *leaves[n];
+        const float* size = passes % 2 ? in_leaves(n) : in_array(n);
+        float* values = leaf.buffer().data();
+        openvdb::util::NodeMask<3> active;
+        for (size_t i = 0; i < 8; ++i) {
+            uint64_t word = 0;
+            for (size_t jk = 0; jk < 64; ++jk) {
+                const size_t at = i << 6 | jk;
+                const float d = size[at], v = d >= band_vox ? band : d * voxel;
+                word |= static_cast<uint64_t>(d < band_vox) << jk;
+                values[at] = negative[n * 8 + i] >> jk & 1 ? -v : v;
+            }
+            active.getWord<openvdb::Index64>(static_cast<openvdb::Index>(i)) = word;
+        }
+        leaf.setValueMask(active);
+    });
     openvdb::tools::changeBackground(surface->tree(), band);
     openvdb::tools::pruneLevelSet(surface->tree());
     progress.step();
@@ -76,7 +183,7 @@ openvdb::FloatGrid::Ptr level_set_of_occupancy(const openvdb::MaskGrid& occupanc
     });
     grid->setGridClass(openvdb::GRID_LEVEL_SET);
     openvdb::tools::signedFloodFill(grid->tree());
-    return level_set(*grid, options, progress);
+    return level_set(std::move(grid), options, progress);
 }
 
 openvdb::FloatGrid::Ptr density_of(const openvdb::FloatGrid& surface) {

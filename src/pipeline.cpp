@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/pipeline.h"
 
-#include <sys/resource.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -12,6 +11,7 @@
 
 #include "atomic_file.h"
 #include "io_image.h"
+#include "memory.h"
 #include "sha256.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/export.h"
@@ -28,12 +28,6 @@ using nlohmann::json;
 namespace {
 
 constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
-
-size_t peak_rss_bytes() {
-    rusage usage{};
-    getrusage(RUSAGE_SELF, &usage);
-    return static_cast<size_t>(usage.ru_maxrss) * 1024;
-}
 
 json parse_or_empty(const fs::path& file) {
     try {
@@ -110,10 +104,7 @@ class Job {
             distances();
             return false;
         });
-        if (o_.dry_run) {
-            plan_grid();
-            return finish();
-        }
+        if (o_.dry_run) return finish();
         stage("carve", [&] { return carve_hull(); });
         if (o_.last_stage == LastStage::Carve) {
             if (!o_.occupancy) place_copy(hull_file(), o_.output / "hull.vdb");
@@ -134,7 +125,7 @@ class Job {
         const bool reused = work();
         json entry{{"name", name},
                    {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()},
-                   {"peak_rss_bytes", peak_rss_bytes()},
+                   {"peak_rss_bytes", peak_memory_bytes()},
                    {"reused", reused}};
         report_["stages"].push_back(entry);
         if (o_.on_stage) {
@@ -314,7 +305,7 @@ class Job {
         h.add("carve").add_value(kCodeVersion).add(mask_key_).add_value(o_.distance.silhouette_offset_px);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         h.add_value(o_.resolution).add_value(o_.voxel_size).add_value(o_.max_misses).add_value(o_.min_seen);
-        h.add_value(o_.outside_is_background).add_value(o_.occupancy).add_value(o_.half_width_vox);
+        h.add_value(o_.outside_is_background).add_value(o_.occupancy).add_value(o_.half_width_vox).add_value(o_.field_scale);
         if (o_.grid)
             for (int d : *o_.grid) h.add_value(d);
         h.add_value(o_.bounds.has_value()).add_value(o_.origin.has_value());
@@ -327,13 +318,34 @@ class Job {
     fs::path hull_file() const { return store_.path("hull", hull_key_, ".vdb"); }
     fs::path hull_json() const { return store_.path("hull", hull_key_, ".json"); }
 
+    /// Bounds, grid, and the distance fields that suit them.
     void distances() {
-        std::vector<MaskView> views;
-        for (size_t i : used_) views.push_back(view_of(masks_.masks[i]));
-        fields_ = distance_fields(views, o_.distance, progress_);
         const std::vector<Camera> cameras = views_.cameras();
-        for (size_t u = 0; u < used_.size(); ++u)
-            inputs_.push_back({views_.views[used_[u]].name, cameras[used_[u]], fields_[u].silhouette.view(), fields_[u].ignored.view()});
+        for (size_t i : used_) {
+            inputs_.push_back({views_.views[i].name, cameras[i], nullptr});
+            used_masks_.push_back(view_of(masks_.masks[i]));
+        }
+        warnings_before_grid_ = progress_.warnings().size();
+        plan_grid();
+        if (o_.dry_run) return;
+        fields_ = distance_fields(used_masks_, field_options_, progress_);
+        for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
+    }
+
+    /// From silhouettes of at most kBoundsPixels a side that never shrink: the box may be a pixel of theirs too large.
+    Box3d bounds_of_silhouettes() {
+        constexpr int kBoundsPixels = 640;
+        DistanceOptions coarse;
+        coarse.silhouette_offset_px = std::max(0.0, o_.distance.silhouette_offset_px);
+        coarse.conservative = true;
+        coarse.reach_samples = 100;
+        int longest = 0;
+        for (const MaskView& m : used_masks_) longest = std::max({longest, m.coverage.width, m.coverage.height});
+        coarse.scale = std::max(1, (longest + kBoundsPixels - 1) / kBoundsPixels);
+        const std::vector<DistanceField> fields = distance_fields(used_masks_, coarse, progress_);
+        std::vector<CarveInput> inputs = inputs_;
+        for (size_t u = 0; u < inputs.size(); ++u) inputs[u].field = &fields[u];
+        return automatic_bounds(inputs, carve_, progress_);
     }
 
     /// Size of one pixel on the object, world units: the median over views at the bounds' centre.
@@ -357,7 +369,7 @@ class Job {
         carve_.occupancy = o_.occupancy;
         carve_.half_width_vox = o_.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
-        Box3d box = o_.bounds ? *o_.bounds : automatic_bounds(inputs_, carve_, progress_);
+        Box3d box = o_.bounds ? *o_.bounds : bounds_of_silhouettes();
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
@@ -404,16 +416,23 @@ class Job {
         g["bounds_automatic"] = !o_.bounds;
         g["bounds_seconds"] = bounds_seconds;
         g["pixel_footprint"] = footprint;
-        if (o_.dry_run) {
-            // Surface of an object that fills two thirds of its box; leaves hold (6 + 12) / 512 of it (fields apart).
-            const double longest = std::max({dims[0], dims[1], dims[2]}), area = 2.2 * longest * longest;
-            const double leaf_bytes = 2200;
-            g["expected_bytes"] = area * 18 / 512 * leaf_bytes;
-            double fields = 0;
-            for (const CarveInput& i : inputs_) fields += 4.0 * static_cast<double>(i.silhouette_px.pixels());
-            g["expected_field_bytes"] = fields;
-        }
+        plan_distance();
         progress_.note("grid " + grid_text(dims) + ", voxel " + std::to_string(voxel) + (views_.units.empty() ? "" : " " + views_.units));
+    }
+
+    void plan_distance() {
+        std::vector<Camera> cameras;
+        for (const CarveInput& input : inputs_) cameras.push_back(input.camera);
+        const FieldPlan plan = plan_fields(cameras, carve_, o_.field_scale);
+        field_options_ = o_.distance;
+        field_options_.scale = plan.scale;
+        field_options_.reach_samples = plan.reach_samples;
+        json& g = report_["grid"];
+        g["px_per_voxel"] = plan.px_per_voxel;
+        g["field_scale"] = plan.scale;
+        if (plan.scale > 1)
+            progress_.note("the photographs have " + std::to_string(plan.px_per_voxel).substr(0, 4) + " pixels to a voxel: distance fields take a sample for " + std::to_string(plan.scale) + "x" +
+                           std::to_string(plan.scale) + " of them (--field-scale 1: every pixel)");
     }
 
     bool carve_hull() {
@@ -423,8 +442,6 @@ class Job {
             for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
             return true;
         }
-        const size_t warnings_before = progress_.warnings().size();
-        plan_grid();
         CarveResult result = carve(inputs_, carve_, progress_);
         const CarveStatistics& s = result.statistics;
         backend_ = result.backend_used;
@@ -443,7 +460,7 @@ class Job {
         inputs_.clear();
         write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
         const std::vector<std::string> all = progress_.warnings();
-        json note{{"grid", g}, {"backend", backend_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}};
+        json note{{"grid", g}, {"backend", backend_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before_grid_), all.end())}};
         write_file(hull_json(), note.dump(1) + "\n");
         return false;
     }
@@ -470,7 +487,7 @@ class Job {
             surface_ = level_set_of_occupancy(*occupancy_, options, progress_);
         } else {
             if (!hull_) hull_ = read_float_grid(hull_file(), "hull");
-            surface_ = level_set(*hull_, options, progress_);
+            surface_ = level_set(std::move(hull_), options, progress_);
         }
         hull_.reset();
         write_vdb(file, {surface_}, metadata());
@@ -615,6 +632,9 @@ class Job {
     std::vector<std::string> mask_names_;
     std::vector<size_t> used_;  ///< indices of views with a mask
     std::vector<DistanceField> fields_;
+    std::vector<MaskView> used_masks_;  ///< of inputs_
+    DistanceOptions field_options_;
+    size_t warnings_before_grid_ = 0;
     std::vector<CarveInput> inputs_;
     CarveOptions carve_;
     openvdb::FloatGrid::Ptr hull_, surface_;

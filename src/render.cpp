@@ -62,6 +62,9 @@ void for_each_covered(const Mesh& mesh, const Camera& camera, const std::vector<
     }
 }
 
+/// Contours farther apart than this are as bad as can be.
+constexpr int kContourReach_px = 100;
+
 double percentile(std::vector<float>& values, double share) {
     if (values.empty()) return 0;
     const auto at = static_cast<long>(share * static_cast<double>(values.size() - 1));
@@ -148,7 +151,7 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
         return out;
     }
     // Where either contour runs, the two signed distances differ by the contours' displacement there.
-    const ImageF sa = signed_distance(hit), sb = signed_distance(mask.coverage);
+    const ImageF sa = signed_distance(hit, kContourReach_px), sb = signed_distance(mask.coverage, kContourReach_px);
     std::vector<float> apart;
     for (int y = 1; y + 1 < height; ++y)
         for (int x = 1; x + 1 < width; ++x) {

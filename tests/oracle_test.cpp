@@ -57,7 +57,7 @@ TEST_P(Oracle, ProjectedPointsAgreeWithRawMasks) {
     for (const Mask& m : masks.masks) mask_views.push_back(view_of(m));
     const auto fields = distance_fields(mask_views, {}, quiet);
     std::vector<CarveInput> inputs;
-    for (size_t i = 0; i < fields.size(); ++i) inputs.push_back({read.views[i].name, read.cameras()[i], fields[i].silhouette.view(), {}});
+    for (size_t i = 0; i < fields.size(); ++i) inputs.push_back({read.views[i].name, read.cameras()[i], &fields[i]});
     CarveOptions o;
     o.bounds_world = automatic_bounds(inputs, o, quiet);
     o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / 240;

@@ -27,6 +27,7 @@ Command add_carve(CLI::App& program);
 Command add_synth(CLI::App& program);
 Command add_info(CLI::App& program);
 Command add_clean(CLI::App& program);
+Command add_bench(CLI::App& program);
 
 /// "a,b,c" as numbers. Throws UsageError naming the option.
 std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');

@@ -10,10 +10,12 @@
 #include <openvdb/openvdb.h>
 
 #include <array>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "vdbcarve/distance.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
 #include "vdbcarve/kernel/carve.h"
@@ -38,12 +40,11 @@ struct IndexBox {
     std::array<int, 3> min{}, max{};
 };
 
-/// One camera with its distance field(s), borrowed.
+/// One camera, that of the mask, with the mask's distance field, borrowed.
 struct CarveInput {
     std::string name;
     Camera camera;
-    ImageView<float> silhouette_px;  ///< signed distance, the camera's size
-    ImageView<float> ignored_px;     ///< or empty
+    const DistanceField* field = nullptr;
 };
 
 struct CarveOptions {
@@ -81,6 +82,22 @@ struct CarveResult {
 /// Same bits for any number of threads. Cost: about (surface voxels) x (views that see their silhouette edge
 /// there). Throws ContradictionError naming the views when nothing is left, UsageError for bad options.
 CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress);
+
+/// The same without all fields in memory at once: `fields_of(first, last)` makes those of the views first <= i < last,
+/// `batch` views at a time; the inputs' own are not looked at. Same bits as carve().
+using FieldSource = std::function<std::vector<DistanceField>(size_t first, size_t last)>;
+CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource& fields_of, const CarveOptions& options, Progress& progress);
+
+/// How finely and how far out distance fields must be sampled for a carve.
+struct FieldPlan {
+    int scale = 1;             ///< DistanceOptions::scale
+    double reach_samples = 0;  ///< DistanceOptions::reach_samples
+    double px_per_voxel = 0;   ///< pixels of the photographs across a voxel at the bounds' middle, median over views
+};
+
+/// `scale` 0 chooses the coarsest samples that still are at least kSamplesPerVoxel to a voxel in every view.
+inline constexpr double kSamplesPerVoxel = 2.0;
+FieldPlan plan_fields(const std::vector<Camera>& cameras, const CarveOptions& options, int scale = 0);
 
 /// Joins hulls of disjoint bricks into exactly the hull carved whole. The bricks are emptied.
 openvdb::FloatGrid::Ptr merge_bricks(const std::vector<openvdb::FloatGrid::Ptr>& bricks);

@@ -10,14 +10,15 @@ namespace vdbcarve {
 
 struct LevelSetOptions {
     int half_width_vox = 3;
-    int iterations = 1;  ///< of fast sweeping
 };
 
-/// Re-distances the hull (first-order fast sweeping, openvdb::tools::sdfToSdf): same zero set up to
-/// interpolation, no sign changed, |gradient| = 1. Name "surface", GRID_LEVEL_SET, background = half-width.
-/// No value is exactly zero (|v| >= 1e-6 voxel), so that meshing makes no zero-area faces.
-/// Throws InputError when the grid has no zero crossing.
-openvdb::FloatGrid::Ptr level_set(const openvdb::FloatGrid& hull, const LevelSetOptions& options, Progress& progress);
+/// Re-distances the hull: kernel/level_set.h says how. No sign changes, the zero set stays where it crosses the
+/// lattice's edges up to curvature within a voxel, |gradient| = 1 to first order. The band never leaves the hull's leaves.
+/// Name "surface", GRID_LEVEL_SET, background = half-width. No value is exactly zero (|v| >= 1e-6 voxel), so that
+/// meshing makes no zero-area faces. Same bits for any number of threads. The hull's leaves become the surface's: pass a
+/// deepCopy() of a hull that is to be kept. Memory: once the hull's leaves besides them. Throws InputError when the grid has no
+/// zero crossing.
+openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOptions& options, Progress& progress);
 
 /// A crude level set of an occupancy: +-1/2 voxel at the border, re-distanced. For meshing the binary model.
 openvdb::FloatGrid::Ptr level_set_of_occupancy(const openvdb::MaskGrid& occupancy, const LevelSetOptions& options, Progress& progress);

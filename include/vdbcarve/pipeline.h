@@ -35,6 +35,7 @@ struct ReconstructOptions {
     std::optional<Box3d> bounds;                     ///< world; none: found from the silhouettes
     std::optional<Vec3d> origin;                     ///< of the voxel lattice, world
 
+    int field_scale = 0;                             ///< pixels a side of a distance field's sample; 0: by resolution
     int max_misses = 0;
     double min_seen = 0.6;
     bool outside_is_background = false;

@@ -30,7 +30,7 @@ DenseVolume dense_carve(const std::vector<CarveInput>& inputs, const CarveOption
                 size_t background = 0, seen = 0;
                 for (size_t n = 0; n < views.size(); ++n) {
                     const kernel::LeafToCamera leaf = kernel::leaf_to_camera(views[n], i & ~7, j & ~7, k & ~7);
-                    const kernel::Vec3 p = kernel::voxel_in_camera(leaf, i & 7, j & 7, k & 7);
+                    const kernel::Vec3 p = kernel::voxel_in_camera(leaf, static_cast<float>(i & 7), static_cast<float>(j & 7), static_cast<float>(k & 7));
                     if (o.occupancy) {
                         const kernel::BinaryAnswer answer = kernel::binary_answer(views[n], p, near_depth);
                         background += answer.background;

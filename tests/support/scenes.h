@@ -35,7 +35,7 @@ inline Shoot shoot(const SyntheticSpec& given, const std::function<void(Syntheti
     out.fields = distance_fields(masks, {}, quiet);
     const auto cameras = out.scene.views.cameras();
     for (size_t i = 0; i < cameras.size(); ++i)
-        out.inputs.push_back({out.scene.views.views[i].name, cameras[i], out.fields[i].silhouette.view(), out.fields[i].ignored.view()});
+        out.inputs.push_back({out.scene.views.views[i].name, cameras[i], &out.fields[i]});
     return out;
 }
 

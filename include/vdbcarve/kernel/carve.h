@@ -20,7 +20,28 @@ enum class Outside : int {
     Background  ///< the view carves there (the paper's rule)
 };
 
-/// One view, ready to be asked. Trivially copyable; the pointers are borrowed.
+inline constexpr int kFieldUnits = 64;  ///< a field's values are counted in 1/64 px
+inline constexpr int kBlock_px = 8;     ///< side of a block of the coarse bound
+
+/// Signed distance to a silhouette, sampled at pixel centres over a window of the image. Borrowed pointers.
+/// Points outside the window are read at its nearest sample: the window leaves `reach` around the object, so
+/// nothing changes out there, except on sides where it ends at the frame.
+struct FieldView {
+    /// Row-major, in 1/64 px, clamped to +-reach. Null: no field.
+    const int16_t* samples;
+    int width, height;  ///< of the window, at least 2 x 2
+    float x0, y0;       ///< image position of the first sample's upper left corner
+    float reach_px;     ///< values saturate here
+    /// For every block of kBlock_px x kBlock_px samples a distance, whole px, that everything in the block is
+    /// at least away from the other side; its sign is the side, 0 where both occur.
+    const int16_t* blocks;
+    int blocks_per_row;
+    /// What lies beyond these image coordinates is background, the farther the more; +-1e30 at the frame's sides.
+    float left, top, right, bottom;
+};
+
+/// One view, ready to be asked. Trivially copyable; the pointers are borrowed. Pixels are those of the field,
+/// which may be coarser than the photograph's (DistanceOptions::scale).
 struct CarveView {
     /// Row-major 3x4: camera-space point (world units) = matrix * (i, j, k, 1), index coordinates.
     double camera_from_index[12];
@@ -28,20 +49,18 @@ struct CarveView {
     float fx, skew, fy, cx, cy;
     /// Largest singular value of [fx skew; 0 fy], in pixels: no direction is magnified more.
     float sigma_max;
-    int width_px, height_px;
+    float frame_width, frame_height;  ///< of the photograph's frame; need not be whole
     int orthographic;
     Outside outside;
-    /// Signed distance to the silhouette at every pixel centre, row-major, in pixels.
-    const float* silhouette_px;
-    /// Signed distance to the seen region at pixel centres (positive where the pixel is to be
-    /// ignored), or null when every pixel of the frame was seen.
-    const float* ignored_px;
+    FieldView silhouette;
+    /// Signed distance to the ignored region (positive inside it), or none when every pixel of the frame was seen.
+    FieldView ignored;
 };
 
-/// |field(nearest pixel of p) - bilinear field(q)| <= |p - q| + this, in pixels: half a pixel diagonal
+/// |field(nearest sample of p) - bilinear field(q)| <= |p - q| + this, in pixels: half a pixel diagonal
 /// on either side (2 * sqrt(1/2)), twice what a contour point set can exceed the contour polyline
-/// by beyond the refined band (2 * 0.083), and 1/64 px for float rounding.
-inline constexpr double kFieldSlop_px = 1.4142136 + 2 * 0.083 + 1.0 / 64;
+/// by beyond the refined band (2 * 0.083), twice the rounding of a sample (2 / 128) and 1/64 px for floats.
+inline constexpr double kFieldSlop_px = 1.4142136 + 2 * 0.083 + 2.0 / 64;
 /// The frame's own distance is evaluated exactly; only rounding has to be covered.
 inline constexpr double kFrameSlop_px = 1.0 / 64;
 /// Nearer to the camera plane than this share of a voxel, a view is judged by depth alone.
@@ -74,9 +93,8 @@ VDBCARVE_HD LeafToCamera leaf_to_camera(const CarveView& view, int i0, int j0, i
     return out;
 }
 
-/// Camera-space position of voxel (i, j, k), each in 0..7, of the leaf.
-VDBCARVE_HD Vec3 voxel_in_camera(const LeafToCamera& leaf, int i, int j, int k) {
-    const float fi = static_cast<float>(i), fj = static_cast<float>(j), fk = static_cast<float>(k);
+/// Camera-space position of voxel (i, j, k), each a whole number in 0..7, of the leaf.
+VDBCARVE_HD Vec3 voxel_in_camera(const LeafToCamera& leaf, float fi, float fj, float fk) {
     return {(leaf.origin.x + fi * leaf.di.x + fj * leaf.dj.x) + fk * leaf.dk.x,
             (leaf.origin.y + fi * leaf.di.y + fj * leaf.dj.y) + fk * leaf.dk.y,
             (leaf.origin.z + fi * leaf.di.z + fj * leaf.dj.z) + fk * leaf.dk.z};
@@ -105,37 +123,59 @@ VDBCARVE_HD PixelDistance frame_distance(float u, float v, float width, float he
     return {-y, 0.f, top <= bottom ? -1.f : 1.f};
 }
 
-/// The four texels around an image point that was clamped into the frame, and the weights.
+/// The four samples around an image point that was clamped into the window, in 1/64 px, and the weights.
 struct Patch {
     float s00, s10, s01, s11, a, b;
 };
 
-/// Images have fewer than 2^31 pixels.
-VDBCARVE_HD Patch fetch_patch(const float* field, int width, int height, float u, float v) {
-    const float x = clamp_f(u - 0.5f, 0.f, static_cast<float>(width - 1));
-    const float y = clamp_f(v - 0.5f, 0.f, static_cast<float>(height - 1));
+/// Where a patch lies: index of its first sample, and the weights.
+struct PatchPlace {
+    int at;
+    float a, b;
+};
+
+/// Windows have fewer than 2^31 samples.
+VDBCARVE_HD PatchPlace patch_place(const FieldView& f, float u, float v) {
+    const float x = clamp_f((u - f.x0) - 0.5f, 0.f, static_cast<float>(f.width - 1));
+    const float y = clamp_f((v - f.y0) - 0.5f, 0.f, static_cast<float>(f.height - 1));
     const int ix0 = static_cast<int>(x), iy0 = static_cast<int>(y);
-    const int ix = ix0 > width - 2 ? width - 2 : ix0, iy = iy0 > height - 2 ? height - 2 : iy0;
-    const float* p = field + (iy * width + ix);
-    return {p[0], p[1], p[width], p[width + 1], x - static_cast<float>(ix), y - static_cast<float>(iy)};
+    const int ix = ix0 > f.width - 2 ? f.width - 2 : ix0, iy = iy0 > f.height - 2 ? f.height - 2 : iy0;
+    return {iy * f.width + ix, x - static_cast<float>(ix), y - static_cast<float>(iy)};
+}
+
+VDBCARVE_HD Patch fetch_patch(const FieldView& f, float u, float v) {
+    const PatchPlace place = patch_place(f, u, v);
+    const int16_t* p = f.samples + place.at;
+    return {static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[f.width]), static_cast<float>(p[f.width + 1]), place.a, place.b};
+}
+
+/// The sample nearest to an image point, in 1/64 px.
+VDBCARVE_HD int nearest_sample(const FieldView& f, float u, float v) {
+    const float x = clamp_f(u - f.x0, 0.f, static_cast<float>(f.width) - 0.5f), y = clamp_f(v - f.y0, 0.f, static_cast<float>(f.height) - 0.5f);
+    return f.samples[static_cast<int>(y) * f.width + static_cast<int>(x)];
+}
+
+/// Which way, and how far at least, an image point is from the contour: a bound for deciding whether it is farther
+/// than `asked_px`. From the samples while they do not saturate, from the blocks beyond.
+VDBCARVE_HD double distance_bound_px(const FieldView& f, float u, float v, double asked_px) {
+    if (asked_px < f.reach_px) return nearest_sample(f, u, v) * (1.0 / kFieldUnits);
+    const float x = clamp_f(u - f.x0, 0.f, static_cast<float>(f.width) - 0.5f), y = clamp_f(v - f.y0, 0.f, static_cast<float>(f.height) - 0.5f);
+    const double block = f.blocks[static_cast<int>(y) / kBlock_px * f.blocks_per_row + static_cast<int>(x) / kBlock_px];
+    const float dx = max_f(max_f(f.left - u, u - f.right), 0.f), dy = max_f(max_f(f.top - v, v - f.bottom), 0.f);
+    if (dx == 0.f && dy == 0.f) return block;
+    // Beyond a side where the window ends before the frame: its margin and the way from there.
+    const double beyond = std::sqrt(static_cast<double>(dx) * dx + static_cast<double>(dy) * dy);
+    return (block > f.reach_px ? block : static_cast<double>(f.reach_px)) + beyond;
 }
 
 /// On the medial axis of a silhouette the gradient vanishes and says nothing; elsewhere it is about 1.
-inline constexpr float kLeastGradient2 = 0.25f;
+inline constexpr float kLeastGradient2 = 0.25f * kFieldUnits * kFieldUnits;
 
+/// In 1/64 px.
 VDBCARVE_HD float interpolate(const Patch& p) {
     const float top = p.s00 + p.a * (p.s10 - p.s00);
     const float bottom = p.s01 + p.a * (p.s11 - p.s01);
     return top + p.b * (bottom - top);
-}
-
-VDBCARVE_HD PixelDistance distance_with_normal(const Patch& p) {
-    const float gx = (p.s10 - p.s00) + p.b * ((p.s11 - p.s01) - (p.s10 - p.s00));
-    const float gy = (p.s01 - p.s00) + p.a * ((p.s11 - p.s10) - (p.s01 - p.s00));
-    const float norm2 = gx * gx + gy * gy;
-    if (norm2 < kLeastGradient2) return {interpolate(p), 0.f, 0.f};
-    const float inv = 1.f / std::sqrt(norm2);
-    return {interpolate(p), gx * inv, gy * inv};
 }
 
 /// Distance in world units from a camera-space point to the cone over an image line whose distance and
@@ -162,14 +202,9 @@ struct Projected {
 
 VDBCARVE_HD Projected project(const CarveView& view, const Vec3& point_camera) {
     Projected p;
-    if (view.orthographic) {
-        p.mx = point_camera.x;
-        p.my = point_camera.y;
-    } else {
-        const float inverse_depth = 1.f / point_camera.z;
-        p.mx = point_camera.x * inverse_depth;
-        p.my = point_camera.y * inverse_depth;
-    }
+    const float inverse_depth = view.orthographic ? 1.f : 1.f / point_camera.z;
+    p.mx = point_camera.x * inverse_depth;
+    p.my = point_camera.y * inverse_depth;
     p.u = view.fx * p.mx + view.skew * p.my + view.cx;
     p.v = view.fy * p.my + view.cy;
     return p;
@@ -183,29 +218,29 @@ VDBCARVE_HD bool beyond_band(const CarveView& view, float distance_px, const Pro
     return dz > 0.f && dz * dz >= reach * reach * (1.f + p.mx * p.mx + p.my * p.my);
 }
 
-/// The distance, world units, clamped to [-band, band], to the cone over the silhouette that a patch is a piece
-/// of. Straight-line code, so that a loop over voxels becomes vectors; the same as image_to_world_distance of the
-/// interpolated field and its unit gradient.
-VDBCARVE_HD float patch_value(const CarveView& view, const Patch& patch, const Projected& p, float depth, float band) {
+/// The distance, world units, clamped to [-band, band], to the cone over the contour that a patch is a piece
+/// of: image_to_world_distance of the interpolated field and its unit gradient, with one root and one division.
+/// Straight-line code, so that a loop over voxels becomes vectors.
+VDBCARVE_HD float patch_value(const CarveView& view, const Patch& patch, float mx, float my, float depth, float band) {
     const float gx = (patch.s10 - patch.s00) + patch.b * ((patch.s11 - patch.s01) - (patch.s10 - patch.s00));
     const float gy = (patch.s01 - patch.s00) + patch.a * ((patch.s11 - patch.s10) - (patch.s01 - patch.s00));
     const float norm2 = gx * gx + gy * gy;
-    const bool no_normal = norm2 < kLeastGradient2;
-    const float inv = 1.f / std::sqrt(no_normal ? 1.f : norm2);
-    const float nx = gx * inv, ny = gy * inv;
-    const float ax = view.fx * nx, ay = view.skew * nx + view.fy * ny;
-    const float a2 = no_normal ? view.sigma_max * view.sigma_max : ax * ax + ay * ay;
-    const float am2_seen = (ax * p.mx + ay * p.my) * (ax * p.mx + ay * p.my);
-    const float am2 = no_normal ? a2 * (p.mx * p.mx + p.my * p.my) : am2_seen;
-    const float scale2 = view.orthographic ? a2 : a2 + am2;
-    const float v = interpolate(patch) * (view.orthographic ? 1.f : depth) / std::sqrt(scale2);
+    const float ax = view.fx * gx, ay = view.skew * gx + view.fy * gy;
+    const float am = ax * mx + ay * my, m2 = mx * mx + my * my;
+    const bool flat = norm2 < kLeastGradient2;
+    const float sigma2 = view.sigma_max * view.sigma_max;
+    const float across = flat ? sigma2 : ax * ax + ay * ay;
+    const float along = flat ? sigma2 * m2 : am * am;
+    const float scale2 = view.orthographic ? across : across + along;
+    const float root = std::sqrt((flat ? 1.f : norm2) / scale2);
+    const float v = interpolate(patch) * (view.orthographic ? 1.f / kFieldUnits : depth * (1.f / kFieldUnits)) * root;
     return clamp_f(v, -band, band);
 }
 
 /// Signed distance to the silhouette cone alone: beyond the frame the border's pixels are taken to go on.
 /// Needs depth > 0 (perspective).
 VDBCARVE_HD float silhouette_value(const CarveView& view, const Projected& p, float depth, float band) {
-    return patch_value(view, fetch_patch(view.silhouette_px, view.width_px, view.height_px, p.u, p.v), p, depth, band);
+    return patch_value(view, fetch_patch(view.silhouette, p.u, p.v), p.mx, p.my, depth, band);
 }
 
 /// What one view says about one point: the signed distance, in world units, to the region that the view
@@ -219,7 +254,7 @@ VDBCARVE_HD float view_value(const CarveView& view, const Vec3& point_camera, fl
     if (!view.orthographic && depth <= near_depth) return clamp_f(-depth, -band, band);
     const Projected p = project(view, point_camera);
     float value = silhouette_value(view, p, depth, band);
-    const PixelDistance frame = frame_distance(p.u, p.v, static_cast<float>(view.width_px), static_cast<float>(view.height_px));
+    const PixelDistance frame = frame_distance(p.u, p.v, view.frame_width, view.frame_height);
     if (!beyond_band(view, -frame.value_px, p, depth, band)) {
         const float frame_world = image_to_world_distance(view, frame, p.mx, p.my, depth);
         value = view.outside == Outside::Unknown ? min_f(value, -frame_world) : max_f(value, frame_world);
@@ -234,12 +269,9 @@ VDBCARVE_HD float unseen_value(const CarveView& view, const Vec3& point_camera, 
     const float depth = point_camera.z;
     if (!view.orthographic && depth <= near_depth) return band;
     const Projected p = project(view, point_camera);
-    PixelDistance d = frame_distance(p.u, p.v, static_cast<float>(view.width_px), static_cast<float>(view.height_px));
-    float value = image_to_world_distance(view, d, p.mx, p.my, depth);
-    if (view.ignored_px) {
-        d = distance_with_normal(fetch_patch(view.ignored_px, view.width_px, view.height_px, p.u, p.v));
-        value = max_f(value, image_to_world_distance(view, d, p.mx, p.my, depth));
-    }
+    const PixelDistance frame = frame_distance(p.u, p.v, view.frame_width, view.frame_height);
+    float value = image_to_world_distance(view, frame, p.mx, p.my, depth);
+    if (view.ignored.samples) value = max_f(value, patch_value(view, fetch_patch(view.ignored, p.u, p.v), p.mx, p.my, depth, band));
     return clamp_f(value, -band, band);
 }
 
@@ -250,16 +282,22 @@ struct BinaryAnswer {
     bool seen;
 };
 
+/// A point has a pixel of its own that is not ignored.
+VDBCARVE_HD bool seen_at(const CarveView& view, const Vec3& point_camera, float near_depth) {
+    if (!view.orthographic && point_camera.z <= near_depth) return false;
+    const Projected p = project(view, point_camera);
+    if (!(p.u >= 0.f && p.u < view.frame_width && p.v >= 0.f && p.v < view.frame_height)) return false;
+    return !(view.ignored.samples && nearest_sample(view.ignored, p.u, p.v) > 0);
+}
+
 VDBCARVE_HD BinaryAnswer binary_answer(const CarveView& view, const Vec3& point_camera, float near_depth) {
     if (!view.orthographic && point_camera.z <= 0.f) return {true, false};
     // In the sliver between the camera plane and near_depth pixel coordinates overflow: no evidence.
     if (!view.orthographic && point_camera.z <= near_depth) return {view.outside == Outside::Background, false};
     const Projected p = project(view, point_camera);
-    const float width = static_cast<float>(view.width_px), height = static_cast<float>(view.height_px);
-    if (!(p.u >= 0.f && p.u < width && p.v >= 0.f && p.v < height))
+    if (!(p.u >= 0.f && p.u < view.frame_width && p.v >= 0.f && p.v < view.frame_height))
         return {view.outside == Outside::Background, false};
-    const int64_t at = static_cast<int64_t>(static_cast<int>(p.v)) * view.width_px + static_cast<int>(p.u);
-    return {view.silhouette_px[at] > 0.f, !(view.ignored_px && view.ignored_px[at] > 0.f)};
+    return {nearest_sample(view.silhouette, p.u, p.v) > 0, !(view.ignored.samples && nearest_sample(view.ignored, p.u, p.v) > 0)};
 }
 
 // ------------------------------------------------------------------------------------ whole nodes
@@ -294,6 +332,7 @@ enum class NodeAnswer : int {
 struct NodeAnswers {
     NodeAnswer hull;    ///< bounds view_value
     NodeAnswer unseen;  ///< bounds unseen_value (Out: unseen everywhere; In: well seen everywhere)
+    float silhouette_px;  ///< the bound that decided, positive where background: which views to ask first
     /// The whole node lies so deep in frame and so far before the camera that view_value is silhouette_value.
     bool clear_of_frame;
 };
@@ -307,9 +346,9 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
         spread_px = view.sigma_max * ball.radius;
         band_px = view.sigma_max * band;
     } else {
-        if (ball.z + ball.radius <= -band) return {NodeAnswer::Out, NodeAnswer::Out, false};
+        if (ball.z + ball.radius <= -band) return {NodeAnswer::Out, NodeAnswer::Out, 0.f, false};
         // The camera plane or the near plane cuts the ball, or -depth itself is within the band.
-        if (ball.z - ball.radius <= near_depth + band) return {NodeAnswer::Mixed, NodeAnswer::Mixed, false};
+        if (ball.z - ball.radius <= near_depth + band) return {NodeAnswer::Mixed, NodeAnswer::Mixed, 0.f, false};
         const double mx = ball.x / ball.z, my = ball.y / ball.z;
         u = view.fx * mx + view.skew * my + view.cx;
         v = view.fy * my + view.cy;
@@ -318,7 +357,7 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
         const double m_max = std::sqrt(mx * mx + my * my) + spread;
         band_px = band * view.sigma_max * std::sqrt(1.0 + m_max * m_max) / (ball.z - ball.radius);
     }
-    const double width = view.width_px, height = view.height_px;
+    const double width = view.frame_width, height = view.frame_height;
     const double dx = u < 0 ? -u : (u > width ? u - width : 0.0);
     const double dy = v < 0 ? -v : (v > height ? v - height : 0.0);
     double frame_px;
@@ -328,14 +367,13 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
         const double x = u < width - u ? u : width - u, y = v < height - v ? v : height - v;
         frame_px = -(x < y ? x : y);
     }
-    const double cu = u < 0.5 ? 0.5 : (u > width - 0.5 ? width - 0.5 : u);
-    const double cv = v < 0.5 ? 0.5 : (v > height - 0.5 ? height - 0.5 : v);
-    const int64_t at = static_cast<int64_t>(static_cast<int>(cv)) * view.width_px + static_cast<int>(cu);
-    const double s_px = view.silhouette_px[at];
-
     const double field_reach = spread_px + band_px + kFieldSlop_px;
     const double frame_reach = spread_px + band_px + kFrameSlop_px;
-    NodeAnswers out{NodeAnswer::Mixed, NodeAnswer::Mixed, false};
+    // Where samples saturate within the band they do not show it (only near a camera; they are made to reach
+    // farther), so nothing is decided.
+    const bool band_shown = view.silhouette.samples && band_px + kFieldSlop_px < view.silhouette.reach_px;
+    const double s_px = band_shown ? distance_bound_px(view.silhouette, static_cast<float>(u), static_cast<float>(v), field_reach) : 0.0;
+    NodeAnswers out{NodeAnswer::Mixed, NodeAnswer::Mixed, static_cast<float>(s_px), false};
     // 1.001 covers what beyond_band adds against rounding.
     out.clear_of_frame = -frame_px > frame_reach * 1.001;
     if (view.outside == Outside::Unknown) {
@@ -349,7 +387,9 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
         else if (-s_px > field_reach && -frame_px > frame_reach)
             out.hull = NodeAnswer::In;
     }
-    const double ignored_px = view.ignored_px ? view.ignored_px[at] : -1e30;
+    double ignored_px = -1e30;
+    if (view.ignored.samples)
+        ignored_px = band_px + kFieldSlop_px < view.ignored.reach_px ? distance_bound_px(view.ignored, static_cast<float>(u), static_cast<float>(v), field_reach) : 0.0;
     if (frame_px > frame_reach || ignored_px > field_reach)
         out.unseen = NodeAnswer::Out;
     else if (-frame_px > frame_reach && -ignored_px > field_reach)

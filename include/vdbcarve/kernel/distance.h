@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact Euclidean distance to a silhouette's contour, on integers.
+// Exact Euclidean distance to a silhouette's contour, up to a reach, on integers.
 //
 // The contour of a soft mask crosses the lattice of pixel centres on edges between two neighbouring
 // centres, one with mask >= 1/2 and one below. Crossings on vertical edges have an integer column,
-// those on horizontal edges an integer row, so each family goes through one separable exact transform
-// (Meijster, Roerdink, Hesselink 2000, with parabolas of integer height) and the smaller of the two
-// squared distances is the exact squared distance to the whole set. Coordinates are counted in 1/64 px:
-// finer than an 8-bit mask can tell, and squares of a 65536 px image fit into 64 bits.
+// those on horizontal edges an integer row, so each family splits into a distance along its line and a
+// minimum across lines, and the smaller of the two squared distances is the exact squared distance to the
+// whole set. Coordinates are counted in 1/64 px: finer than an 8-bit mask can tell, and squares within
+// kMaxReach_px fit into 32 bits.
 // Within kRefine_px of the contour the straight pieces between crossings (marching squares) are used too.
 #pragma once
 
@@ -19,7 +19,8 @@ namespace vdbcarve::kernel {
 
 inline constexpr int kSubpixel = 64;      ///< units of a pixel
 inline constexpr int kRefine_px = 3;      ///< pieces of contour are measured this far out
-inline constexpr int32_t kNoSite = 1 << 28;  ///< "no crossing in this line", in 1/64 px
+/// Distances saturate here at the latest: the sum of two squares in 1/64 px stays below 2^31, a value fits int16.
+inline constexpr int kMaxReach_px = 500;
 
 VDBCARVE_HD bool is_object(uint8_t coverage) { return coverage >= 128; }
 
@@ -34,29 +35,31 @@ VDBCARVE_HD int crossing(uint8_t first, uint8_t second) {
     return t < 1 ? 1 : (t > kSubpixel - 1 ? kSubpixel - 1 : t);
 }
 
-/// Floor of a quotient of integers below 2^52 in magnitude, denominator positive: the correctly rounded
-/// double quotient cannot reach the next integer, so one division replaces a slow 64-bit one.
-VDBCARVE_HD int64_t floor_divide(int64_t numerator, int64_t denominator) {
-    const auto towards_zero = static_cast<int64_t>(static_cast<double>(numerator) / static_cast<double>(denominator));
-    return towards_zero * denominator > numerator ? towards_zero - 1 : towards_zero;
+/// A straight piece of contour, in 1/64 px, ready to be measured from many places.
+struct Segment {
+    float ax, ay, ux, uy, inverse_length2;
+};
+
+VDBCARVE_HD Segment make_segment(int ax, int ay, int bx, int by) {
+    const float ux = static_cast<float>(bx - ax), uy = static_cast<float>(by - ay);
+    const float length2 = ux * ux + uy * uy;
+    return {static_cast<float>(ax), static_cast<float>(ay), ux, uy, length2 > 0.f ? 1.f / length2 : 0.f};
 }
 
-/// First column at which the parabola of `right` is strictly lower than that of `left` (left < right), minus one.
-VDBCARVE_HD int64_t parabola_switch(int left, int64_t left_height2, int right, int64_t right_height2) {
-    const int64_t unit2 = static_cast<int64_t>(kSubpixel) * kSubpixel;
-    const int64_t l = left, r = right;
-    return floor_divide(unit2 * (r * r - l * l) + right_height2 - left_height2, 2 * unit2 * (r - l));
+/// Squared distance, rounded, from a point to a segment; all coordinates in 1/64 px. Never below 1: the contour
+/// passes no pixel centre.
+VDBCARVE_HD int32_t segment_distance2(const Segment& s, float px, float py) {
+    const float wx = px - s.ax, wy = py - s.ay;
+    float t = (s.ux * wx + s.uy * wy) * s.inverse_length2;
+    t = t < 0.f ? 0.f : t;
+    t = t > 1.f ? 1.f : t;
+    const float dx = wx - t * s.ux, dy = wy - t * s.uy;
+    const int32_t d2 = static_cast<int32_t>(dx * dx + dy * dy + 0.5f);
+    return d2 < 1 ? 1 : d2;
 }
 
-/// Squared distance, in px^2, from a point to a segment; all coordinates in 1/64 px.
-VDBCARVE_HD double segment_distance2_px(int px, int py, int ax, int ay, int bx, int by) {
-    const double ux = bx - ax, uy = by - ay, wx = px - ax, wy = py - ay;
-    const double length2 = ux * ux + uy * uy;
-    double t = length2 > 0 ? (ux * wx + uy * wy) / length2 : 0.0;
-    t = t < 0 ? 0 : (t > 1 ? 1 : t);
-    const double dx = wx - t * ux, dy = wy - t * uy;
-    return (dx * dx + dy * dy) * (1.0 / (static_cast<double>(kSubpixel) * kSubpixel));
-}
+/// Rounded root of a squared distance, both in units of 1/64 px.
+VDBCARVE_HD int32_t root_of(int32_t distance2) { return static_cast<int32_t>(std::sqrt(static_cast<float>(distance2)) + 0.5f); }
 
 /// The contour's straight pieces in one marching-squares cell, corners in the order (0,0) (1,0) (1,1) (0,1).
 /// Points are in 1/64 px from the first corner. Returns 0, 1 or 2 pieces. In the ambiguous cell the two

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+// The loops that take the time, compiled once for each instruction set and chosen at run time.
+//
+// All sets run the same operations in the same order, without fused multiply-add: same bits. The environment
+// variable VDBCARVE_SIMD (generic, avx2 or avx512) picks a lesser set than the machine has, for tests.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "vdbcarve/kernel/carve.h"
+#include "vdbcarve/kernel/distance.h"
+
+namespace vdbcarve {
+
+inline constexpr int kLeafVoxels = 512;
+/// A leaf is asked in 8 cells of 4 x 4 x 4 voxels, cell c = ci << 2 | cj << 1 | ck. Arrays of a leaf's values are in
+/// cell order: value of voxel (i, j, k) of a cell at cell * 64 + (i << 4 | j << 2 | k).
+inline constexpr int kLeafCells = 8, kCellVoxels = 64;
+
+/// Index in cell order of a voxel given by its index in the leaf (i << 6 | j << 3 | k).
+inline int cell_order(int at) {
+    const int i = at >> 6, j = (at >> 3) & 7, k = at & 7;
+    return (i >> 2 << 2 | j >> 2 << 1 | k >> 2) << 6 | (i & 3) << 4 | (j & 3) << 2 | (k & 3);
+}
+
+/// What a view says of a leaf's cells, as bit masks.
+struct CellAnswers {
+    unsigned out;    ///< at least +band at every voxel
+    unsigned mixed;  ///< evaluated; cells in neither mask are at most -band everywhere
+    unsigned full;   ///< evaluated, and `values` is now at least +band at every voxel
+};
+
+struct WindowDistance {
+    const uint8_t* coverage;  ///< first pixel of the window
+    int64_t stride;           ///< pixels between rows of the mask
+    int width, height;        ///< of the window
+    int reach;                ///< distances saturate here; 1/64 px, at most 64 * kMaxReach_px
+    int offset;               ///< 1/64 px, taken off every value
+    int clamp;                ///< then values are clamped to plus and minus this; 1/64 px
+    int16_t* out;             ///< width * height
+    int32_t* scratch;         ///< window_scratch(width, height) values
+};
+
+struct VectorLoops {
+    const char* name;
+    /// values (cell order) = max(values, kernel::silhouette_value) at all voxels of those cells in `alive` that the view may
+    /// matter for. The leaf is clear of the frame's border for that view. `ball_radius` is that of a cell's voxel centres,
+    /// world units.
+    CellAnswers (*raise_leaf)(const kernel::CarveView& view, const int origin[3], unsigned alive, float ball_radius, float band, float* values);
+    /// Signed distance of a window of a mask, kernel/distance.h.
+    void (*window_distance)(const WindowDistance& job);
+    /// Magnitudes, in voxels, of the voxels beside the surface, and 1 in `beside`; band_vox and 0 for the others. `halo` is
+    /// 10 x 10 x 10 raw values, the leaf at 1..8 (edges and corners unused).
+    void (*measure_leaf)(const float* halo, float band_vox, uint8_t* beside, float* out);
+    /// One pass of kernel::eikonal over a leaf, from a halo of magnitudes; voxels whose `frozen` is not 0 are copied.
+    void (*redistance_leaf)(const float* halo, const uint8_t* frozen, float band_vox, float* out);
+};
+
+inline size_t window_scratch(int width, int height) { return static_cast<size_t>(width + 144) * static_cast<size_t>(height + 8) * 4 + 2 * kernel::kMaxReach_px + 128; }
+
+/// The widest set that the machine has, or what VDBCARVE_SIMD asks for.
+const VectorLoops& vector_loops();
+/// All sets that this machine can run, least first.
+std::vector<const VectorLoops*> all_vector_loops();
+
+}  // namespace vdbcarve
