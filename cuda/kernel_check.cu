@@ -27,8 +27,8 @@ __global__ void contour(const uint8_t* corners, ContourPieces* pieces, int32_t* 
 __global__ void redistance(const float* raw, float* out, int count) {
     const int at = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
     if (at + 6 >= count) return;
-    const float here = plane_distance(crossing_distance(raw[at], raw[at + 1]), crossing_distance(raw[at], raw[at + 2]), crossing_distance(raw[at], raw[at + 3]));
-    out[at] = here < kNoCrossing ? here : eikonal(raw[at + 1], raw[at + 2], raw[at + 3]);
+    const float across = opposite(raw[at], raw[at + 1], raw[at + 2]), change = slope(raw[at], raw[at + 1], raw[at + 2], across);
+    out[at] = across < 0.f ? eikonal(raw[at + 1], raw[at + 2], raw[at + 3]) : plane_distance(raw[at], change, change, change);
 }
 
 }  // namespace vdbcarve::kernel

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <functional>
 
+#include "statistics.h"
+
 #include "vdbcarve/carve.h"
 
 namespace vdbcarve {
@@ -15,12 +17,6 @@ std::optional<Eigen::AlignedBox2d> silhouette_box(const CarveInput& input) {
     const DistanceField& f = *input.field;
     if (!f.shows_object()) return std::nullopt;
     return Eigen::AlignedBox2d(Vec2d(f.object_box[0], f.object_box[1]) * f.scale, Vec2d(f.object_box[2] + 1, f.object_box[3] + 1) * f.scale);
-}
-
-double median(std::vector<double> v) {
-    const auto mid = v.begin() + static_cast<long>(v.size() / 2);
-    std::nth_element(v.begin(), mid, v.end());
-    return *mid;
 }
 
 /// The (max_misses + 1)-th largest distance to the silhouette cones, frames left out of account.
@@ -66,23 +62,18 @@ Box3d box_of_hull(const openvdb::FloatGrid& hull, const std::vector<CarveInput>&
 
 Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions& given, Progress& progress) {
     // Start: the point nearest to the rays through the silhouettes' middles, and their size there.
-    Mat3d normal = Mat3d::Zero();
-    Vec3d right = Vec3d::Zero();
+    std::vector<Camera::Ray> rays;
     std::vector<std::pair<const CarveInput*, Eigen::AlignedBox2d>> boxes;
     for (const CarveInput& input : inputs) {
         const auto box = silhouette_box(input);
         if (!box) continue;
         boxes.emplace_back(&input, *box);
-        const Camera::Ray ray = input.camera.ray(box->center());
-        const Mat3d across = Mat3d::Identity() - ray.direction * ray.direction.transpose();
-        normal += across;
-        right += across * ray.origin;
+        rays.push_back(input.camera.ray(box->center()));
     }
     if (boxes.empty()) throw InputError("no view shows the object: all silhouettes are empty");
-    const Eigen::SelfAdjointEigenSolver<Mat3d> eigen(normal);
-    if (boxes.size() < 2 || eigen.eigenvalues()[0] < 1e-6 * eigen.eigenvalues()[2])
-        throw UndeterminedError("all views look along the same line, so how deep the object is cannot be told. Remedy: give --bounds");
-    const Vec3d centre = normal.ldlt().solve(right);
+    const std::optional<Vec3d> meeting = point_nearest_to(rays, 1e-6);
+    if (!meeting) throw UndeterminedError("all views look along the same line, so how deep the object is cannot be told. Remedy: give --bounds");
+    const Vec3d centre = *meeting;
     std::vector<double> radii;
     for (const auto& [input, box] : boxes) {
         const Intrinsics& k = input->camera.intrinsics;
@@ -149,6 +140,23 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
     }
     const Vec3d pad = Vec3d::Constant(0.005 * box.sizes().maxCoeff());
     return {box.min() - pad, box.max() + pad};
+}
+
+Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<MaskView>& masks, double silhouette_offset_px, const CarveOptions& options, Progress& progress) {
+    constexpr int kPixels = 640;
+    int longest = 0;
+    for (const MaskView& m : masks) longest = std::max({longest, m.coverage.width, m.coverage.height});
+    DistanceOptions coarse;
+    coarse.silhouette_offset_px = std::max(0.0, silhouette_offset_px);
+    coarse.conservative = true;
+    coarse.reach_samples = 100;
+    coarse.scale = std::max(1, (longest + kPixels - 1) / kPixels);
+    const std::vector<DistanceField> fields = distance_fields(masks, coarse, progress);
+    std::vector<CarveInput> inputs = views;
+    for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
+    CarveOptions graded = options;
+    graded.occupancy = false;
+    return automatic_bounds(inputs, graded, progress);
 }
 
 }  // namespace vdbcarve

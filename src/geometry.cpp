@@ -83,18 +83,23 @@ DecomposedProjection decompose_projection(const Mat34d& projection) {
     return out;
 }
 
-std::optional<Vec3d> look_at_point(const std::vector<Camera>& cameras) {
+std::optional<Vec3d> point_nearest_to(const std::vector<Camera::Ray>& rays, double least_parallax) {
     Mat3d normal = Mat3d::Zero();
     Vec3d right = Vec3d::Zero();
-    for (const Camera& camera : cameras) {
-        const Vec3d d = camera.forward_world();
-        const Mat3d across = Mat3d::Identity() - d * d.transpose();
+    for (const Camera::Ray& ray : rays) {
+        const Mat3d across = Mat3d::Identity() - ray.direction * ray.direction.transpose();
         normal += across;
-        right += across * camera.centre_world();
+        right += across * ray.origin;
     }
     const Eigen::SelfAdjointEigenSolver<Mat3d> eigen(normal);
-    if (cameras.size() < 2 || eigen.eigenvalues()[0] < 1e-4 * eigen.eigenvalues()[2]) return std::nullopt;
+    if (rays.size() < 2 || eigen.eigenvalues()[0] < least_parallax * eigen.eigenvalues()[2]) return std::nullopt;
     return normal.ldlt().solve(right);
+}
+
+std::optional<Vec3d> look_at_point(const std::vector<Camera>& cameras) {
+    std::vector<Camera::Ray> axes;
+    for (const Camera& camera : cameras) axes.push_back({camera.centre_world(), camera.forward_world()});
+    return point_nearest_to(axes, 1e-4);
 }
 
 Mat3d rotation_from_quaternion(double w, double x, double y, double z) {

@@ -5,6 +5,7 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <opencv2/ximgproc.hpp>
 
 #include "vdbcarve/error.h"
 
@@ -93,6 +94,35 @@ Image8 undistort(ImageView<uint8_t> image, const Intrinsics& k, const Lens& lens
             }
     }
     return unwrap(result);
+}
+
+Component largest_component(ImageView<uint8_t> image) {
+    cv::Mat labels, statistics, centres;
+    const int count = cv::connectedComponentsWithStats(wrap(image), labels, statistics, centres, 8, CV_32S);
+    Component out;
+    for (int n = 1; n < count; ++n) {
+        const auto pixels = static_cast<size_t>(statistics.at<int>(n, cv::CC_STAT_AREA));
+        if (pixels <= out.pixels) continue;
+        const int x = statistics.at<int>(n, cv::CC_STAT_LEFT), y = statistics.at<int>(n, cv::CC_STAT_TOP);
+        out = {pixels, {x, y, x + statistics.at<int>(n, cv::CC_STAT_WIDTH), y + statistics.at<int>(n, cv::CC_STAT_HEIGHT)}};
+    }
+    return out;
+}
+
+std::vector<std::array<int, 2>> skeleton_near(ImageView<uint8_t> coverage, ImageView<uint8_t> marked) {
+    cv::Mat object = wrap(coverage) >= 128;
+    // Thinning looks at every pixel again and again: only around what is marked, with room for the shape to be told.
+    const cv::Rect all(0, 0, coverage.width, coverage.height), found = cv::boundingRect(wrap(marked));
+    if (found.empty()) return {};
+    constexpr int kRoom = 48;
+    const cv::Rect part = cv::Rect(found.x - kRoom, found.y - kRoom, found.width + 2 * kRoom, found.height + 2 * kRoom) & all;
+    cv::Mat thin;
+    cv::ximgproc::thinning(object(part), thin, cv::ximgproc::THINNING_ZHANGSUEN);
+    std::vector<std::array<int, 2>> out;
+    for (int y = 0; y < part.height; ++y)
+        for (int x = 0; x < part.width; ++x)
+            if (thin.at<uint8_t>(y, x) && marked.at(x + part.x, y + part.y)) out.push_back({x + part.x, y + part.y});
+    return out;
 }
 
 Image8 downscale(ImageView<uint8_t> image, int width, int height) {

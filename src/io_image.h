@@ -2,7 +2,9 @@
 // Reading, writing and undistorting pictures through OpenCV. Private: OpenCV appears in no header.
 #pragma once
 
+#include <array>
 #include <filesystem>
+#include <vector>
 
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
@@ -20,6 +22,16 @@ std::vector<uint8_t> encode_png(ImageView<uint8_t> image);
 /// The picture that a camera with the same intrinsics and no lens distortion would have taken, linear
 /// interpolation. `outside` (optional) becomes 255 where the source picture has no pixel.
 Image8 undistort(ImageView<uint8_t> image, const Intrinsics& intrinsics, const Lens& lens, Image8* outside);
+
+/// The largest 8-connected piece of what is not 0.
+struct Component {
+    size_t pixels = 0;
+    std::array<int, 4> box{};  ///< x0, y0, x1, y1, the last ones outside
+};
+Component largest_component(ImageView<uint8_t> image);
+
+/// Pixels of the skeleton (Zhang and Suen 1984) of the object (coverage >= 1/2) that are marked, one pixel wide lines.
+std::vector<std::array<int, 2>> skeleton_near(ImageView<uint8_t> coverage, ImageView<uint8_t> marked);
 
 /// Smaller copy by area averaging.
 Image8 downscale(ImageView<uint8_t> image, int width, int height);

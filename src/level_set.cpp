@@ -43,11 +43,10 @@ std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leav
 /// Where voxel (i, j, k), each -1..8, of a leaf stands in a 10^3 halo.
 constexpr int halo_at(int i, int j, int k) { return (i + 1) * 100 + (j + 1) * 10 + (k + 1); }
 
-/// Copies a leaf and the facing layers of its neighbours into a halo. `values_of(number)` are a leaf's 512 values;
-/// `beyond` stands in for a missing neighbour's, or the leaf's own border values do where it is NaN.
+/// Copies a leaf's values and the facing layers of its neighbours into a halo. `values_of(number)` are a neighbour's 512;
+/// `beyond` stands in for a missing neighbour's, or the leaf's own border values do where it is null.
 template <class ValuesOf>
-void fill_halo(int32_t leaf, const std::array<int32_t, 6>& neighbours, const ValuesOf& values_of, const float* beyond, float* halo) {
-    const float* own = values_of(leaf);
+void fill_halo(const std::array<int32_t, 6>& neighbours, const float* own, const ValuesOf& values_of, const float* beyond, float* halo) {
     for (int i = 0; i < 8; ++i)
         for (int j = 0; j < 8; ++j) std::copy_n(own + (i << 6 | j << 3), 8, halo + halo_at(i, j, 0));
     const auto layer = [&](int face, const auto& source, const auto& target) {
@@ -84,63 +83,65 @@ openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOp
     progress.begin("level_set", static_cast<size_t>(passes) + 2);
     const VectorLoops& loops = vector_loops();
 
-    // Voxels beside the surface are measured from the raw values; the others wait at the band's edge. Two sets of
-    // magnitudes take turns, one of them in the leaves themselves, whose signs are kept as bits.
+    // Voxels beside the surface are measured from the raw values and fixed (negative); the others wait at the band's edge.
+    // Two sets of distances take turns, one of them in the leaves themselves, whose signs are kept as bits.
     std::vector<float> beside_leaves(count * kLeafVoxels);
-    std::vector<uint64_t> frozen(count * 8, 0), negative(count * 8, 0);  // a bit a voxel
+    std::vector<uint64_t> inside(count * 8, 0);
+    std::vector<char> changed(count, 1), changes(count, 1);
     std::atomic<bool> crosses{false};
     const auto in_leaves = [&](size_t n) { return leaves[n]->buffer().data(); };
     const auto in_array = [&](size_t n) { return beside_leaves.data() + n * kLeafVoxels; };
     const auto for_leaves = [&](const auto& work) {
         tbb::parallel_for(tbb::blocked_range<size_t>(0, count, 16), [&](const tbb::blocked_range<size_t>& range) {
-            alignas(64) float halo[1000];
-            alignas(64) uint8_t flags[kLeafVoxels];
-            for (size_t n = range.begin(); n < range.end(); ++n) work(n, halo, flags);
-        });
-    };
-    for_leaves([&](size_t n, float* halo, uint8_t* flags) {
-        fill_halo(static_cast<int32_t>(n), neighbours[n], [&](int32_t m) -> const float* { return in_leaves(static_cast<size_t>(m)); }, nullptr, halo);
-        loops.measure_leaf(halo, band_vox, flags, in_array(n));
-        const float* raw = in_leaves(n);
-        uint64_t any = 0;
-        for (size_t i = 0; i < 8; ++i) {
-            for (size_t jk = 0; jk < 64; ++jk) {
-                frozen[n * 8 + i] |= static_cast<uint64_t>(flags[i << 6 | jk]) << jk;
-                negative[n * 8 + i] |= static_cast<uint64_t>(raw[i << 6 | jk] < 0.f) << jk;
-            }
-            any |= frozen[n * 8 + i];
-        }
-        if (any) crosses.store(true, std::memory_order_relaxed);
-    });
-    if (!crosses) throw InputError("level_set: the hull has no zero crossing");
-    progress.step();
-
-    const auto sweep = [&](const auto& from, const auto& to) {
-        for_leaves([&](size_t n, float* halo, uint8_t* flags) {
-            fill_halo(static_cast<int32_t>(n), neighbours[n], [&](int32_t m) -> const float* { return from(static_cast<size_t>(m)); }, &band_vox, halo);
-            for (size_t i = 0; i < 8; ++i)
-                for (size_t jk = 0; jk < 64; ++jk) flags[i << 6 | jk] = frozen[n * 8 + i] >> jk & 1;
-            loops.redistance_leaf(halo, flags, band_vox, to(n));
+            alignas(64) float halo[1000] = {};
+            for (size_t n = range.begin(); n < range.end(); ++n) work(n, halo);
         });
         progress.step();
     };
+    for_leaves([&](size_t n, float* halo) {
+        const float* raw = in_leaves(n);
+        bool both = false;
+        fill_halo(neighbours[n], raw, [&](int32_t m) -> const float* { return in_leaves(static_cast<size_t>(m)); }, nullptr, halo);
+        loops.measure_leaf(halo, band_vox, in_array(n));
+        for (size_t i = 0; i < 8; ++i) {
+            uint64_t word = 0;
+            for (size_t jk = 0; jk < 64; ++jk) word |= static_cast<uint64_t>(raw[i << 6 | jk] < 0.f) << jk;
+            inside[n * 8 + i] = word;
+        }
+        for (int at = 0; at < kLeafVoxels; ++at) both |= in_array(n)[at] < 0.f;
+        if (both) crosses.store(true, std::memory_order_relaxed);
+    });
+    if (!crosses) throw InputError("level_set: the hull has no zero crossing");
+
+    const auto sweep = [&](const auto& from, const auto& to, bool first) {
+        for_leaves([&](size_t n, float* halo) {
+            // A leaf that did not change, and whose neighbours did not, holds the same in both sets.
+            bool again = changed[n] != 0;
+            for (const int32_t m : neighbours[n]) again = again || (m >= 0 && changed[static_cast<size_t>(m)] != 0);
+            changes[n] = 0;
+            if (!again) return;
+            fill_halo(neighbours[n], from(n), [&](int32_t m) -> const float* { return from(static_cast<size_t>(m)); }, &band_vox, halo);
+            changes[n] = loops.redistance_leaf(halo, band_vox, to(n)) != 0 || first;
+        });
+        changed.swap(changes);
+    };
     for (int pass = 0; pass < passes; ++pass) {
-        if (pass % 2) sweep(in_leaves, in_array);
-        else sweep(in_array, in_leaves);
+        if (pass % 2) sweep(in_leaves, in_array, pass == 0);
+        else sweep(in_array, in_leaves, pass == 0);
     }
 
-    tbb::parallel_for(size_t{0}, count, [&](size_t n) {
+    for_leaves([&](size_t n, float*) {
         Leaf& leaf = *leaves[n];
-        const float* size = passes % 2 ? in_leaves(n) : in_array(n);
+        const float* from = passes % 2 ? in_leaves(n) : in_array(n);
         float* values = leaf.buffer().data();
         openvdb::util::NodeMask<3> active;
         for (size_t i = 0; i < 8; ++i) {
             uint64_t word = 0;
             for (size_t jk = 0; jk < 64; ++jk) {
                 const size_t at = i << 6 | jk;
-                const float d = size[at], v = d >= band_vox ? band : d * voxel;
+                const float d = std::fabs(from[at]), v = d >= band_vox ? band : d * voxel;
                 word |= static_cast<uint64_t>(d < band_vox) << jk;
-                values[at] = negative[n * 8 + i] >> jk & 1 ? -v : v;
+                values[at] = inside[n * 8 + i] >> jk & 1 ? -v : v;
             }
             active.getWord<openvdb::Index64>(static_cast<openvdb::Index>(i)) = word;
         }
@@ -148,7 +149,6 @@ openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOp
     });
     openvdb::tools::changeBackground(surface->tree(), band);
     openvdb::tools::pruneLevelSet(surface->tree());
-    progress.step();
     return surface;
 }
 

@@ -13,6 +13,7 @@
 #include "io_image.h"
 #include "memory.h"
 #include "sha256.h"
+#include "statistics.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/level_set.h"
@@ -332,22 +333,6 @@ class Job {
         for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
     }
 
-    /// From silhouettes of at most kBoundsPixels a side that never shrink: the box may be a pixel of theirs too large.
-    Box3d bounds_of_silhouettes() {
-        constexpr int kBoundsPixels = 640;
-        DistanceOptions coarse;
-        coarse.silhouette_offset_px = std::max(0.0, o_.distance.silhouette_offset_px);
-        coarse.conservative = true;
-        coarse.reach_samples = 100;
-        int longest = 0;
-        for (const MaskView& m : used_masks_) longest = std::max({longest, m.coverage.width, m.coverage.height});
-        coarse.scale = std::max(1, (longest + kBoundsPixels - 1) / kBoundsPixels);
-        const std::vector<DistanceField> fields = distance_fields(used_masks_, coarse, progress_);
-        std::vector<CarveInput> inputs = inputs_;
-        for (size_t u = 0; u < inputs.size(); ++u) inputs[u].field = &fields[u];
-        return automatic_bounds(inputs, carve_, progress_);
-    }
-
     /// Size of one pixel on the object, world units: the median over views at the bounds' centre.
     double pixel_footprint(const Vec3d& centre) const {
         std::vector<double> sizes;
@@ -356,9 +341,7 @@ class Job {
             const double depth = k.orthographic ? 1.0 : (input.camera.camera_from_world * centre).z();
             if (depth > 0) sizes.push_back(depth / std::sqrt(k.fx * k.fy));
         }
-        if (sizes.empty()) return 0;
-        std::nth_element(sizes.begin(), sizes.begin() + static_cast<long>(sizes.size() / 2), sizes.end());
-        return sizes[sizes.size() / 2];
+        return median(sizes);
     }
 
     /// Fills carve_ and the report's grid from bounds, resolution and the like.
@@ -369,7 +352,7 @@ class Job {
         carve_.occupancy = o_.occupancy;
         carve_.half_width_vox = o_.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
-        Box3d box = o_.bounds ? *o_.bounds : bounds_of_silhouettes();
+        Box3d box = o_.bounds ? *o_.bounds : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
@@ -567,6 +550,8 @@ class Job {
                                         {"contour_p95_px", a[i].contour_p95_px},
                                         {"contour_p99_px", a[i].contour_p99_px},
                                         {"missed_px", a[i].missed_px},
+                                        {"largest_missed_blob_px", a[i].largest_missed_blob_px},
+                                        {"thin_length_lost_px", a[i].thin_length_lost_px},
                                         {"extra_px", a[i].extra_px},
                                         {"mask", masks_.origins[i]}});
             if (!used) continue;
@@ -578,9 +563,9 @@ class Job {
                            (weak_count > 5 ? " …" : "") + ": look at their masks and cameras");
         for (const std::string& name : views_.left_out)
             report_["views"].push_back({{"name", name}, {"used", false}, {"silhouette_iou", 0.0}, {"contour_p95_px", 0.0}, {"mask", ""}});
-        std::sort(ious.begin(), ious.end());
-        minimum_iou_ = ious.front();
-        median_iou_ = ious[ious.size() / 2];
+        minimum_iou_ = *std::min_element(ious.begin(), ious.end());
+        median_iou_ = median(ious);
+        agreement_ = std::move(a);
         report_["silhouette_iou"] = {{"median", median_iou_}, {"minimum", minimum_iou_}};
     }
 
@@ -594,6 +579,8 @@ class Job {
             tiles[s].name = v.name;
             tiles[s].camera = cameras[i];
             tiles[s].mask = masks_.masks[i].coverage;
+            tiles[s].thin_lost = agreement_[i].thin_lost;
+            tiles[s].missed_blob = agreement_[i].missed_blob;
             if (v.image_path.empty()) return;
             Image8 photo;
             try {
@@ -644,6 +631,7 @@ class Job {
     std::string backend_ = "cpu", inputs_sha256_;
     std::string mask_key_, hull_key_, surface_key_, mesh_key_;
     double median_iou_ = 0, minimum_iou_ = 0;
+    std::vector<SilhouetteAgreement> agreement_;  ///< of views_
 };
 
 }  // namespace

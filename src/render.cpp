@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "io_image.h"
+#include "statistics.h"
 #include "vdbcarve/distance.h"
 
 namespace vdbcarve {
@@ -64,13 +65,6 @@ void for_each_covered(const Mesh& mesh, const Camera& camera, const std::vector<
 
 /// Contours farther apart than this are as bad as can be.
 constexpr int kContourReach_px = 100;
-
-double percentile(std::vector<float>& values, double share) {
-    if (values.empty()) return 0;
-    const auto at = static_cast<long>(share * static_cast<double>(values.size() - 1));
-    std::nth_element(values.begin(), values.begin() + at, values.end());
-    return values[static_cast<size_t>(at)];
-}
 
 }  // namespace
 
@@ -146,6 +140,26 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
             out.extra_px += a && !b;
         }
     out.iou = either ? static_cast<double>(both) / static_cast<double>(either) : 1.0;
+    if (out.missed_px > 0) {
+        Image8 missed(width, height);
+        for (int y = 0; y < height; ++y)
+            for (int x = 0; x < width; ++x)
+                if (!ignored(x, y) && mask.coverage.at(x, y) >= 128 && hit.at(x, y) < 128) missed.at(x, y) = 255;
+        const io::Component blob = io::largest_component(missed);
+        out.largest_missed_blob_px = blob.pixels;
+        out.missed_blob = blob.box;
+        // The skeleton is looked at only around what is missed.
+        for (const auto& [x, y] : io::skeleton_near(mask.coverage, missed)) {
+            bool near = ignored(x, y);
+            for (int j = -1; j <= 1; ++j)
+                for (int i = -1; i <= 1; ++i) {
+                    const int u = x + i, v = y + j;
+                    near = near || (u >= 0 && v >= 0 && u < width && v < height && hit.at(u, v) >= 128);
+                }
+            if (!near) out.thin_lost.push_back({x, y});
+        }
+        out.thin_length_lost_px = out.thin_lost.size();
+    }
     if (both == 0) {  // nothing in common: as far apart as the picture is wide, unless both are empty
         if (either) out.contour_p95_px = out.contour_p99_px = std::hypot(width, height);
         return out;
@@ -204,6 +218,27 @@ Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views) {
                 }
                 for (int c = 0; c < 3; ++c) tile.at(x, y, c) = static_cast<uint8_t>(std::clamp(rgb[c], 0.0, 255.0));
             }
+        const double shrink = static_cast<double>(width) / view.mask.width;
+        const auto dot = [&](double x, double y, int r, int g, int b) {
+            const int u = static_cast<int>(x * shrink), v = static_cast<int>(y * shrink);
+            if (u < 0 || v < 0 || u >= width || v >= height) return;
+            tile.at(u, v, 0) = static_cast<uint8_t>(r);
+            tile.at(u, v, 1) = static_cast<uint8_t>(g);
+            tile.at(u, v, 2) = static_cast<uint8_t>(b);
+        };
+        for (const auto& [x, y] : view.thin_lost) dot(x + 0.5, y + 0.5, 255, 230, 40);
+        const auto& [bx0, by0, bx1, by1] = view.missed_blob;
+        if (bx1 > bx0 + 4 || by1 > by0 + 4) {
+            const double pad = 3 / shrink;
+            for (double x = bx0 - pad; x <= bx1 + pad; x += 0.5 / shrink) {
+                dot(x, by0 - pad, 255, 150, 0);
+                dot(x, by1 + pad, 255, 150, 0);
+            }
+            for (double y = by0 - pad; y <= by1 + pad; y += 0.5 / shrink) {
+                dot(bx0 - pad, y, 255, 150, 0);
+                dot(bx1 + pad, y, 255, 150, 0);
+            }
+        }
     });
     int tile_height = 1;
     for (const Image8& t : tiles) tile_height = std::max(tile_height, t.height);

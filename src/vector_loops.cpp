@@ -282,34 +282,44 @@ void window_distance(const WindowDistance& job) {
 
 // ------------------------------------------------------------------------------------ level set
 
-void measure_leaf(const float* halo, float band_vox, uint8_t* beside, float* out) {
-    for (int row = 0; row < 64; ++row) {
-        const float* h = halo + ((row >> 3) + 1) * 100 + ((row & 7) + 1) * 10 + 1;
-        for (int k = 0; k < 8; ++k) {
-            const float here = h[k];
-            const float x = min_f(crossing_distance(here, h[k - 100]), crossing_distance(here, h[k + 100]));
-            const float y = min_f(crossing_distance(here, h[k - 10]), crossing_distance(here, h[k + 10]));
-            const float z = min_f(crossing_distance(here, h[k - 1]), crossing_distance(here, h[k + 1]));
-            const float d = plane_distance(x, y, z);
-            beside[row * 8 + k] = d < kNoCrossing;
-            out[row * 8 + k] = d < band_vox ? d : band_vox;
+// Slices of 8 rows are gone through as they lie in the halo, the two voxels between rows included.
+constexpr int kSlice = 78;
+
+inline void copy_rows(const float* slice, float* out) {
+    for (int row = 0; row < 8; ++row) std::memcpy(out + row * 8, slice + row * 10, 8 * sizeof(float));
+}
+
+void measure_leaf(const float* halo, float band_vox, float* out) {
+    for (int i = 0; i < 8; ++i) {
+        const float* h = halo + (i + 1) * 100 + 11;
+        float slice[80];
+        for (int n = 0; n < kSlice; ++n) {
+            const float here = h[n];
+            const float x = opposite(here, h[n - 100], h[n + 100]), y = opposite(here, h[n - 10], h[n + 10]), z = opposite(here, h[n - 1], h[n + 1]);
+            const float d = plane_distance(here, slope(here, h[n - 100], h[n + 100], x), slope(here, h[n - 10], h[n + 10], y), slope(here, h[n - 1], h[n + 1], z));
+            slice[n] = max_f(max_f(x, y), z) < 0.f ? band_vox : -min_f(d, band_vox);
         }
+        copy_rows(slice, out + i * 64);
     }
 }
 
-void redistance_leaf(const float* halo, const uint8_t* frozen, float band_vox, float* out) {
-    for (int row = 0; row < 64; ++row) {
-        const float* h = halo + ((row >> 3) + 1) * 100 + ((row & 7) + 1) * 10 + 1;
-        for (int k = 0; k < 8; ++k) {
-            const float x = h[k - 100] < h[k + 100] ? h[k - 100] : h[k + 100];
-            const float y = h[k - 10] < h[k + 10] ? h[k - 10] : h[k + 10];
-            const float z = h[k - 1] < h[k + 1] ? h[k - 1] : h[k + 1];
-            float solved = eikonal(x, y, z);
-            solved = solved < band_vox ? solved : band_vox;
-            solved = solved < h[k] ? solved : h[k];
-            out[row * 8 + k] = frozen[row * 8 + k] ? h[k] : solved;
+int redistance_leaf(const float* halo, float band_vox, float* out) {
+    int changed = 0;
+    for (int i = 0; i < 8; ++i) {
+        const float* h = halo + (i + 1) * 100 + 11;
+        float slice[80];
+        for (int n = 0; n < kSlice; ++n) {
+            const float x = min_f(std::fabs(h[n - 100]), std::fabs(h[n + 100]));
+            const float y = min_f(std::fabs(h[n - 10]), std::fabs(h[n + 10]));
+            const float z = min_f(std::fabs(h[n - 1]), std::fabs(h[n + 1]));
+            const float solved = min_f(eikonal(x, y, z), band_vox);
+            slice[n] = h[n] < 0.f ? h[n] : min_f(solved, h[n]);
         }
+        copy_rows(slice, out + i * 64);
+        for (int row = 0; row < 8; ++row)
+            for (int k = 0; k < 8; ++k) changed |= out[i * 64 + row * 8 + k] != h[row * 10 + k];
     }
+    return changed;
 }
 
 }  // namespace

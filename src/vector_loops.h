@@ -50,11 +50,11 @@ struct VectorLoops {
     CellAnswers (*raise_leaf)(const kernel::CarveView& view, const int origin[3], unsigned alive, float ball_radius, float band, float* values);
     /// Signed distance of a window of a mask, kernel/distance.h.
     void (*window_distance)(const WindowDistance& job);
-    /// Magnitudes, in voxels, of the voxels beside the surface, and 1 in `beside`; band_vox and 0 for the others. `halo` is
-    /// 10 x 10 x 10 raw values, the leaf at 1..8 (edges and corners unused).
-    void (*measure_leaf)(const float* halo, float band_vox, uint8_t* beside, float* out);
-    /// One pass of kernel::eikonal over a leaf, from a halo of magnitudes; voxels whose `frozen` is not 0 are copied.
-    void (*redistance_leaf)(const float* halo, const uint8_t* frozen, float band_vox, float* out);
+    /// kernel::plane_distance of a leaf's voxels beside the surface, made negative: they are fixed; band_vox for the others.
+    /// `halo` is 10 x 10 x 10 raw values, the leaf at 1..8 (edges and corners unused, but initialised).
+    void (*measure_leaf)(const float* halo, float band_vox, float* out);
+    /// One pass of kernel::eikonal over a leaf, from a halo of such distances. 0 when nothing changed.
+    int (*redistance_leaf)(const float* halo, float band_vox, float* out);
 };
 
 inline size_t window_scratch(int width, int height) { return static_cast<size_t>(width + 144) * static_cast<size_t>(height + 8) * 4 + 2 * kernel::kMaxReach_px + 128; }

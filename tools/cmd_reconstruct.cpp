@@ -14,8 +14,7 @@ namespace {
 
 struct Raw {
     ReconstructOptions options;
-    std::string bounds, grid, origin, threshold = "auto";
-    bool all_components = false;
+    std::string bounds, grid, origin;
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
 
@@ -37,15 +36,7 @@ void read_raw(Raw& raw) {
         const auto p = numbers("--origin", raw.origin, 3);
         o.origin = Vec3d(p[0], p[1], p[2]);
     }
-    if (raw.threshold == "otsu") {
-        o.mask.threshold.level = ThresholdOptions::kOtsu;
-    } else if (raw.threshold != "auto") {
-        o.mask.threshold.level = numbers("--threshold", raw.threshold, 1)[0];
-        if (o.mask.threshold.level < 0 || o.mask.threshold.level > 255)
-            throw UsageError("--threshold " + raw.threshold + ": must be auto, otsu or within 0..255");
-    }
     o.views.allow_missing = o.mask.allow_missing;
-    o.mask.threshold.largest_component = !raw.all_components;
 }
 
 /// The effective configuration of one command: everything that has a value, defaults included.
@@ -62,6 +53,52 @@ std::string config_of(const CLI::App& program, const std::string& command) {
     return out;
 }
 
+}  // namespace
+
+void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask) {
+    CLI::App* app = &command;
+    app->add_option("--images", views.images, "folder of photographs")->group("Scene");
+    app->add_option("--cameras", views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices")->group("Scene");
+    app->add_option("--masks", mask.masks, "folder of masks (white = object)")->group("Scene");
+    static const std::map<std::string, MaskMethod> methods{
+        {"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}};
+    app->add_option("--mask", mask.method, "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold")
+        ->transform(CLI::CheckedTransformer(methods, CLI::ignore_case))
+        ->group("Masks");
+    app->add_option("--mask-pattern", mask.pattern, "mask files by name, like '{stem}_m.png'")->group("Masks");
+    app->add_option("--ignore-masks", mask.ignore_masks, "folder of masks of what neither carves nor confirms")->group("Masks");
+    app->add_flag("--mask-invert", mask.invert, "masks are black where the object is")->group("Masks");
+    app->add_flag("--allow-missing", mask.allow_missing, "leave out views whose image or mask is missing or empty")->group("Masks");
+    app->add_option_function<std::string>("--threshold", [&mask](const std::string& text) {
+            if (text == "auto") mask.threshold.level = ThresholdOptions::kAuto;
+            else if (text == "otsu") mask.threshold.level = ThresholdOptions::kOtsu;
+            else mask.threshold.level = numbers("--threshold", text, 1)[0];
+            if (mask.threshold.level > 255 || (mask.threshold.level < 0 && text != "auto" && text != "otsu"))
+                throw UsageError("--threshold " + text + ": must be auto, otsu or within 0..255");
+        }, "level 0..255 for --mask threshold; auto: Otsu's of the square root; otsu")->default_str("auto")->group("Masks");
+    static const std::map<std::string, MaskChannel> channels{{"brightness", MaskChannel::Brightness}, {"saturation", MaskChannel::Saturation},
+                                                             {"red", MaskChannel::Red}, {"green", MaskChannel::Green}, {"blue", MaskChannel::Blue}};
+    app->add_option("--threshold-channel", mask.threshold.channel, "brightness (largest of R, G, B), saturation, red, green or blue")
+        ->transform(CLI::CheckedTransformer(channels, CLI::ignore_case))
+        ->group("Masks");
+    app->add_flag("--threshold-invert", mask.threshold.invert, "the object is what is darker")->group("Masks");
+    app->add_option("--mask-open", mask.threshold.open_px, "opening of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-close", mask.threshold.close_px, "closing of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-fill-holes", mask.threshold.fill_holes, "fill holes up to this share of the object's area (1: all)")
+        ->capture_default_str()
+        ->check(CLI::Range(0.0, 1.0))
+        ->group("Masks");
+    app->add_flag("!--mask-all-components", mask.threshold.largest_component, "keep every piece of a threshold mask, not only the largest")->group("Masks");
+
+    static const std::map<std::string, PixelCentre> centres{{"corner", PixelCentre::Corner}, {"integer", PixelCentre::Integer}};
+    app->add_option("--pixel-centre", views.pixel_centre, "centre of the first pixel: corner (0.5, 0.5) or integer (0, 0); default: the camera format's own")
+        ->transform(CLI::CheckedTransformer(centres, CLI::ignore_case))
+        ->group("Scene");
+    app->add_flag("--accept-non-metric", views.accept_non_metric, "carve in a projective world all the same")->group("Scene");
+}
+
+namespace {
+
 Command add(CLI::App& program, const char* name, const char* what, LastStage last) {
     auto raw = std::make_shared<Raw>();
     ReconstructOptions& o = raw->options;
@@ -71,33 +108,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     app->add_option("scene", o.views.scene, "folder with images/ (or photos directly in it), masks/ and a camera file")->required();
     app->add_option("-o,--output", o.output, "folder for the result")->required();
 
-    app->add_option("--images", o.views.images, "folder of photographs")->group("Scene");
-    app->add_option("--cameras", o.views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices")->group("Scene");
-    app->add_option("--masks", o.mask.masks, "folder of masks (white = object)")->group("Scene");
-    static const std::map<std::string, MaskMethod> methods{
-        {"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}};
-    app->add_option("--mask", o.mask.method, "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold")
-        ->transform(CLI::CheckedTransformer(methods, CLI::ignore_case))
-        ->group("Masks");
-    app->add_option("--mask-pattern", o.mask.pattern, "mask files by name, like '{stem}_m.png'")->group("Masks");
-    app->add_option("--ignore-masks", o.mask.ignore_masks, "folder of masks of what neither carves nor confirms")->group("Masks");
-    app->add_flag("--mask-invert", o.mask.invert, "masks are black where the object is")->group("Masks");
-    app->add_flag("--allow-missing", o.mask.allow_missing, "leave out views whose image or mask is missing or empty")->group("Masks");
-    app->add_option("--threshold", raw->threshold, "level 0..255 for --mask threshold; auto: Otsu's of the square root; otsu")->capture_default_str()->group("Masks");
-    static const std::map<std::string, MaskChannel> channels{{"brightness", MaskChannel::Brightness}, {"saturation", MaskChannel::Saturation},
-                                                             {"red", MaskChannel::Red}, {"green", MaskChannel::Green}, {"blue", MaskChannel::Blue}};
-    app->add_option("--threshold-channel", o.mask.threshold.channel, "brightness (largest of R, G, B), saturation, red, green or blue")
-        ->transform(CLI::CheckedTransformer(channels, CLI::ignore_case))
-        ->group("Masks");
-    app->add_flag("--threshold-invert", o.mask.threshold.invert, "the object is what is darker")->group("Masks");
-    app->add_option("--mask-open", o.mask.threshold.open_px, "opening of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
-    app->add_option("--mask-close", o.mask.threshold.close_px, "closing of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
-    app->add_option("--mask-fill-holes", o.mask.threshold.fill_holes, "fill holes up to this share of the object's area (1: all)")
-        ->capture_default_str()
-        ->check(CLI::Range(0.0, 1.0))
-        ->group("Masks");
-    app->add_flag("--mask-all-components", raw->all_components, "keep every piece of a threshold mask, not only the largest")->group("Masks");
-
+    add_scene_options(*app, o.views, o.mask);
     if (last != LastStage::Mask) {
         app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(CLI::PositiveNumber)->group("Grid");
         app->add_option("--voxel-size", o.voxel_size, "edge of a voxel, scene units")->check(CLI::PositiveNumber)->group("Grid");
@@ -128,12 +139,6 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, inch …")->group("Result");
     app->add_flag("--force", o.force, "write into a folder that vdbcarve did not make");
     app->add_flag("--resume", raw->resume, "go on where a run stopped (always so: finished stages are never redone)");
-    static const std::map<std::string, PixelCentre> centres{{"corner", PixelCentre::Corner}, {"integer", PixelCentre::Integer}};
-    app->add_option("--pixel-centre", o.views.pixel_centre, "centre of the first pixel: corner (0.5, 0.5) or integer (0, 0); default: the camera format's own")
-        ->transform(CLI::CheckedTransformer(centres, CLI::ignore_case))
-        ->group("Scene");
-    app->add_flag("--accept-non-metric", o.views.accept_non_metric, "carve in a projective world all the same")->group("Scene");
-
     return {app, [raw, app, &program](Common& common, Progress& progress) {
                 read_raw(*raw);
                 ReconstructOptions& options = raw->options;

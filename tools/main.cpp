@@ -92,7 +92,11 @@ int main(int argc, char** argv) {
         "  vdbcarve synth cup -o shoot                       make a synthetic shoot: photos, masks, cameras, truth\n"
         "  vdbcarve reconstruct shoot -o out                 masks and cameras of the scene -> out/volume.vdb, out/mesh.ply\n"
         "  vdbcarve reconstruct dino --mask threshold -o out photographs on black, masks by a threshold\n"
+        "  vdbcarve check shoot                              what is wrong with cameras and masks, in words\n"
+        "  vdbcarve evaluate out --truth shoot/truth.ply     how far the result is from the truth\n"
         "  vdbcarve info out                                 what a file or a result holds\n"
+        "  vdbcarve bench                                    how fast this machine carves"
+        "\n"
         "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");
     cli::Common common;
     program.add_flag("--quiet", common.quiet, "only warnings and errors");
@@ -102,7 +106,7 @@ int main(int argc, char** argv) {
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
     std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_bench(program)};
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_bench(program)};
     try {
         program.parse(argc, argv);
     } catch (const CLI::ParseError& e) {

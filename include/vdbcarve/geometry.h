@@ -80,7 +80,10 @@ struct DecomposedProjection {
 /// Throws InputError when P's left 3x3 block is singular.
 DecomposedProjection decompose_projection(const Mat34d& projection);
 
-/// The point closest, in the sense of least squares, to all optical axes; nothing where they are parallel.
+/// The point closest, in the sense of least squares, to all rays (unit directions); nothing where they are parallel: the
+/// smallest eigenvalue of the normal matrix is below `least_parallax` of the largest.
+std::optional<Vec3d> point_nearest_to(const std::vector<Camera::Ray>& rays, double least_parallax);
+/// The same for the optical axes.
 std::optional<Vec3d> look_at_point(const std::vector<Camera>& cameras);
 
 /// Rotation from a quaternion that need not be of unit length. Throws InputError where it is zero.

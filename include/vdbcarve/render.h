@@ -2,6 +2,7 @@
 // Meshes seen by cameras: silhouettes and depth at pixel centres, agreement with masks, a contact sheet.
 #pragma once
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -35,16 +36,23 @@ struct SilhouetteAgreement {
     double contour_p95_px = 0;          ///< distance between the two contours, 95th percentile
     double contour_p99_px = 0;
     size_t missed_px = 0, extra_px = 0;  ///< mask not hit; hit outside the mask
+    size_t largest_missed_blob_px = 0;   ///< pixels of the largest connected piece of what is missed
+    /// Length, in pixels, of the mask's skeleton that has no hit within 1.5 px: thin parts that are gone while the area hardly tells.
+    size_t thin_length_lost_px = 0;
+    std::array<int, 4> missed_blob{};                ///< x0, y0, x1, y1 of the largest missed piece
+    std::vector<std::array<int, 2>> thin_lost;       ///< the lost pixels of the skeleton
 };
 SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask);
 
 /// One picture of up to 12 evenly chosen views: the mesh, shaded, over the darkened photograph; red where the
-/// mask is missed, blue where the mesh sticks out. `photos` may hold empty images.
+/// mask is missed, blue where the mesh sticks out, yellow where thin parts are lost, the largest missed piece framed. `photos` may hold empty images.
 struct PreviewView {
     std::string name;
     Camera camera;
     Image8 photo;  ///< RGB, RGBA or grey, undistorted, any size; empty: black
     Image8 mask;
+    std::array<int, 4> missed_blob{};           ///< of SilhouetteAgreement, in the mask's pixels: framed in orange
+    std::vector<std::array<int, 2>> thin_lost;  ///< drawn in yellow
 };
 Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views);
 

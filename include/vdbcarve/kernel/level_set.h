@@ -2,7 +2,7 @@
 // Re-distancing a narrow band, one voxel at a time: magnitudes in voxels, signs kept apart.
 //
 // Voxels next to the surface take their distance from where the field crosses zero on the edges to their
-// neighbours and are frozen; the others solve |grad phi| = 1 by first-order upwind differences (Rouy and
+// neighbours, as to a plane, and are frozen; the others solve |grad phi| = 1 by first-order upwind differences (Rouy and
 // Tourin 1992; the quadratic of Sethian's fast marching), all at once, pass after pass. A pass carries the
 // solution one voxel on, so a fixed number of passes serves the band, in any order and on any device.
 #pragma once
@@ -13,30 +13,29 @@
 
 namespace vdbcarve::kernel {
 
-/// No crossing in that direction.
-inline constexpr float kNoCrossing = 1e9f;
 /// No voxel is nearer to the surface than this, in voxels: a value of zero would make faces without area.
 inline constexpr float kLeastDistance = 1e-6f;
 
-/// Distance, in voxels, along an edge from a voxel with value `here` to the zero crossing before its neighbour;
-/// kNoCrossing where both are on one side.
-VDBCARVE_HD float crossing_distance(float here, float neighbour) {
-    // One is negative, so the sum is positive (a denormal at least).
-    const float a = std::fabs(here), b = std::fabs(neighbour);
-    const float along = a / (a + b);
-    return (here < 0.f) == (neighbour < 0.f) ? kNoCrossing : along;
+/// The larger magnitude of those neighbours on one axis that are on the other side of the surface; -1 when none is.
+VDBCARVE_HD float opposite(float here, float before, float after) {
+    const bool inside = here < 0.f;
+    const float a = (before < 0.f) != inside ? std::fabs(before) : -1.f;
+    const float b = (after < 0.f) != inside ? std::fabs(after) : -1.f;
+    return a < b ? b : a;
 }
 
-/// Distance to the plane that crosses the three axes at these distances (the nearer of both directions each;
-/// kNoCrossing: it does not). kNoCrossing when it crosses none.
-VDBCARVE_HD float plane_distance(float dx, float dy, float dz) {
-    dx = dx < kLeastDistance ? kLeastDistance : dx;
-    dy = dy < kLeastDistance ? kLeastDistance : dy;
-    dz = dz < kLeastDistance ? kLeastDistance : dz;
-    const float nearest = dx < dy ? (dx < dz ? dx : dz) : (dy < dz ? dy : dz);
-    const float d = 1.f / std::sqrt(1.f / (dx * dx) + 1.f / (dy * dy) + 1.f / (dz * dz));
-    const float kept = d < kLeastDistance ? kLeastDistance : d;
-    return nearest < kNoCrossing ? kept : kNoCrossing;
+/// How much the field changes over one voxel along an axis: across the surface where a neighbour is there (`across`, see
+/// opposite), otherwise by central difference, at most |here|, since the surface is more than a voxel away.
+VDBCARVE_HD float slope(float here, float before, float after, float across) {
+    const float size = std::fabs(here), central = 0.5f * std::fabs(after - before);
+    const float quiet = central < size ? central : size;
+    return across < 0.f ? quiet : size + across;
+}
+
+/// Distance, in voxels, of a voxel with value `here` beside the surface to the plane that its slopes (per voxel) describe.
+VDBCARVE_HD float plane_distance(float here, float slope_x, float slope_y, float slope_z) {
+    const float d = std::fabs(here) / std::sqrt(slope_x * slope_x + slope_y * slope_y + slope_z * slope_z);
+    return d > kLeastDistance ? d : kLeastDistance;
 }
 
 /// The upwind solution of |grad phi| = 1 (phi >= 0, spacing 1) from the smaller neighbour on each axis.

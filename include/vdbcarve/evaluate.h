@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// How far a mesh is from the truth.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "vdbcarve/geometry.h"
+#include "vdbcarve/progress.h"
+#include "vdbcarve/triangle_mesh.h"
+
+namespace vdbcarve {
+
+/// x_truth = scale * rotation * x + translation.
+struct Similarity {
+    double scale = 1;
+    Mat3d rotation = Mat3d::Identity();
+    Vec3d translation = Vec3d::Zero();
+    Vec3d operator*(const Vec3d& x) const { return scale * (rotation * x) + translation; }
+};
+
+/// The similarity that takes `from` to `to` with the least squared error (Umeyama 1991). Throws UndeterminedError for
+/// fewer than three pairs or pairs on one line.
+Similarity align_points(const std::vector<Vec3d>& from, const std::vector<Vec3d>& to);
+
+struct EvaluateOptions {
+    std::optional<Similarity> align;  ///< applied to the mesh first
+    double threshold = 0;             ///< for completeness, precision, recall; truth's units; 0: 1 % of the truth's largest side
+    size_t samples = 100000;          ///< points on each surface, spread evenly by area
+    uint64_t seed = 1;
+    int volume_resolution = 256;      ///< voxels along the longest side of both, for IoU
+};
+
+/// Distances from points of one surface to the nearest point of the other, in the truth's units.
+struct SurfaceDistances {
+    double mean = 0, median = 0, rms = 0, p90 = 0, p95 = 0, max = 0;
+    double within = 0;  ///< share of points within the threshold
+};
+
+/// See Seitz et al. 2006 (accuracy, completeness) and Knapitsch et al. 2017 (F-score).
+struct Evaluation {
+    SurfaceDistances to_truth;    ///< from the mesh: accuracy; `within` is the precision
+    SurfaceDistances from_truth;  ///< from the truth: completeness; `within` is the recall
+    double chamfer = 0;           ///< mean of both means
+    double accuracy90 = 0;        ///< to_truth.p90
+    double f_score = 0;
+    double hausdorff = 0, hausdorff95 = 0;  ///< the larger of both directions
+    double volume = 0, truth_volume = 0;    ///< signed
+    double volume_excess = 0;               ///< volume / truth_volume - 1
+    double iou = 0;                         ///< |A and B| / |A or B| of the solids; nan when either surface is open
+    double truth_lost = 0;                  ///< share of the truth's volume outside the mesh; nan likewise
+    double normal_error_mean_deg = 0, normal_error_median_deg = 0;  ///< at the mesh's points, against the truth's nearest face
+    double threshold = 0, truth_size = 0;
+    Similarity align;
+};
+
+/// Point-to-triangle distances by a bounding volume hierarchy. Same numbers for any number of threads.
+/// Time: about samples * log(faces). Throws InputError for a mesh without faces.
+Evaluation evaluate(const Mesh& mesh, const Mesh& truth, const EvaluateOptions& options, Progress& progress);
+
+std::string evaluation_json(const Evaluation& evaluation);
+
+}  // namespace vdbcarve
