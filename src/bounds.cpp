@@ -143,7 +143,7 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
 }
 
 Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<MaskView>& masks, double silhouette_offset_px, const CarveOptions& options, Progress& progress) {
-    constexpr int kPixels = 640;
+    constexpr int kPixels = 1024;
     int longest = 0;
     for (const MaskView& m : masks) longest = std::max({longest, m.coverage.width, m.coverage.height});
     DistanceOptions coarse;

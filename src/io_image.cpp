@@ -96,6 +96,63 @@ Image8 undistort(ImageView<uint8_t> image, const Intrinsics& k, const Lens& lens
     return unwrap(result);
 }
 
+Image8 distort(ImageView<uint8_t> image, int margin, const Intrinsics& k, const Lens& lens) {
+    const cv::Matx33d matrix(k.fx, 0, k.cx - 0.5, 0, k.fy, k.cy - 0.5, 0, 0, 1);
+    const auto c = [&](size_t i) { return i < lens.coefficients.size() ? lens.coefficients[i] : 0.0; };
+    std::vector<cv::Point2d> from, to;
+    for (int y = 0; y < k.height_px; ++y)
+        for (int x = 0; x < k.width_px; ++x) from.emplace_back(x, y);
+    if (lens.model == Lens::Model::OpenCVFisheye) {
+        cv::fisheye::undistortPoints(from, to, matrix, cv::Vec4d(c(0), c(1), c(2), c(3)), cv::noArray(), matrix);
+    } else {
+        std::vector<double> d(8, 0.0);
+        const size_t used = lens.model == Lens::Model::SimpleRadial ? 1 : lens.model == Lens::Model::Radial ? 2 : 8;
+        for (size_t i = 0; i < used; ++i) d[i] = c(i);
+        cv::undistortPoints(from, to, matrix, d, cv::noArray(), matrix, cv::TermCriteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, 60, 1e-9));
+    }
+    cv::Mat map(k.height_px, k.width_px, CV_32FC2);
+    for (int y = 0; y < k.height_px; ++y)
+        for (int x = 0; x < k.width_px; ++x) {
+            const cv::Point2d& p = to[static_cast<size_t>(y) * static_cast<size_t>(k.width_px) + static_cast<size_t>(x)];
+            map.at<cv::Vec2f>(y, x) = cv::Vec2f(static_cast<float>(p.x + margin), static_cast<float>(p.y + margin));
+        }
+    cv::Mat out;
+    cv::remap(wrap(image), out, map, cv::noArray(), cv::INTER_LINEAR, cv::BORDER_REPLICATE);
+    return unwrap(out);
+}
+
+Image8 blurred(ImageView<uint8_t> image, double sigma_px) {
+    cv::Mat out;
+    cv::GaussianBlur(wrap(image), out, cv::Size(), sigma_px, sigma_px, cv::BORDER_REPLICATE);
+    return unwrap(out);
+}
+
+std::vector<uint8_t> encode_jpeg(ImageView<uint8_t> image, int quality, double focal_35mm) {
+    cv::Mat m = wrap(image).clone();
+    if (m.channels() == 3) cv::cvtColor(m, m, cv::COLOR_RGB2BGR);
+    std::vector<uint8_t> bytes;
+    if (!cv::imencode(".jpg", m, bytes, {cv::IMWRITE_JPEG_QUALITY, quality})) throw OutputError("a JPEG could not be encoded");
+    if (!(focal_35mm > 0)) return bytes;
+    // An APP1 segment after the start marker: TIFF, little-endian, one directory that points to the EXIF one, which says
+    // FocalLength (0x920A, rational, mm) and FocalLengthIn35mmFilm (0xA405, short, mm).
+    std::vector<uint8_t> exif;
+    const auto put = [&](uint64_t value, int count) {
+        for (int i = 0; i < count; ++i) exif.push_back(static_cast<uint8_t>(value >> (8 * i)));
+    };
+    for (const char c : {'E', 'x', 'i', 'f', '\0', '\0', 'I', 'I'}) exif.push_back(static_cast<uint8_t>(c));
+    put(42, 2), put(8, 4);                                            // the first directory starts at 8
+    put(1, 2), put(0x8769, 2), put(4, 2), put(1, 4), put(26, 4), put(0, 4);  // one entry: the EXIF directory is at 26
+    put(2, 2);
+    put(0x920A, 2), put(5, 2), put(1, 4), put(56, 4);                 // its rational is at 56
+    put(0xA405, 2), put(3, 2), put(1, 4), put(static_cast<uint64_t>(focal_35mm + 0.5), 4);
+    put(0, 4);
+    put(static_cast<uint64_t>(focal_35mm * 1000 + 0.5), 4), put(1000, 4);
+    std::vector<uint8_t> segment{0xFF, 0xE1, static_cast<uint8_t>((exif.size() + 2) >> 8), static_cast<uint8_t>(exif.size() + 2)};
+    segment.insert(segment.end(), exif.begin(), exif.end());
+    bytes.insert(bytes.begin() + 2, segment.begin(), segment.end());
+    return bytes;
+}
+
 Component largest_component(ImageView<uint8_t> image) {
     cv::Mat labels, statistics, centres;
     const int count = cv::connectedComponentsWithStats(wrap(image), labels, statistics, centres, 8, CV_32S);

@@ -23,6 +23,16 @@ std::vector<uint8_t> encode_png(ImageView<uint8_t> image);
 /// interpolation. `outside` (optional) becomes 255 where the source picture has no pixel.
 Image8 undistort(ImageView<uint8_t> image, const Intrinsics& intrinsics, const Lens& lens, Image8* outside);
 
+/// What a camera with this lens sees of `image`, taken by the same camera without distortion but with `margin` more pixels on
+/// every side; the reverse of undistort. Linear interpolation.
+Image8 distort(ImageView<uint8_t> image, int margin, const Intrinsics& intrinsics, const Lens& lens);
+
+/// Gaussian blur.
+Image8 blurred(ImageView<uint8_t> image, double sigma_px);
+
+/// JPEG bytes of a grey or RGB picture. focal_35mm > 0: with an EXIF block that says the focal length as on 36 mm wide film.
+std::vector<uint8_t> encode_jpeg(ImageView<uint8_t> image, int quality, double focal_35mm);
+
 /// The largest 8-connected piece of what is not 0.
 struct Component {
     size_t pixels = 0;

@@ -9,9 +9,11 @@
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <random>
+#include <unsupported/Eigen/BVH>
 
 #include "atomic_file.h"
 #include "io_image.h"
+#include "vdbcarve/distance.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/render.h"
 
@@ -139,19 +141,32 @@ struct Direction {
     double azimuth_rad, elevation_rad;
 };
 
+constexpr double rad(double deg) { return deg * kPi / 180; }
+
+/// Turns about x, then y, then z.
+Mat3d turned(const Vec3d& degrees) {
+    const Vec3d r = degrees * kPi / 180;
+    return (Eigen::AngleAxisd(r.z(), Vec3d::UnitZ()) * Eigen::AngleAxisd(r.y(), Vec3d::UnitY()) * Eigen::AngleAxisd(r.x(), Vec3d::UnitX())).toRotationMatrix();
+}
+
 std::vector<Direction> directions(const Rig& rig) {
     std::vector<Direction> out;
-    const auto ring = [&](int views, double elevation_deg, double phase) {
-        for (int i = 0; i < views; ++i) out.push_back({2 * kPi * (i + phase) / views, elevation_deg * kPi / 180});
+    const auto ring = [&](int views, double elevation_deg, double phase, double arc_deg) {
+        for (int i = 0; i < views; ++i) {
+            // Angular speed 1 + v cos: its integral keeps the ends of a turn where they were.
+            const double turn = (i + phase) / views;
+            const double at = turn + rig.speed_variation * std::sin(2 * kPi * turn) / (2 * kPi);
+            out.push_back({rad(rig.start_deg) + rad(arc_deg) * at, rad(elevation_deg)});
+        }
     };
     switch (rig.kind) {
-        case Rig::Kind::Orbit: ring(rig.views, rig.elevation_deg, 0); break;
+        case Rig::Kind::Orbit: ring(rig.views, rig.elevation_deg, 0, rig.arc_deg); break;
         case Rig::Kind::Rings:
-            for (size_t r = 0; r < rig.rings.size(); ++r) ring(rig.rings[r].views, rig.rings[r].elevation_deg, r % 2 ? 0.5 : 0);
+            for (size_t r = 0; r < rig.rings.size(); ++r) ring(rig.rings[r].views, rig.rings[r].elevation_deg, r % 2 ? 0.5 : 0, rig.arc_deg);
             break;
         case Rig::Kind::Dome:
             // Fibonacci points on the upper half sphere, spread evenly by area.
-            for (int i = 0; i < rig.views; ++i) out.push_back({i * kPi * (3 - std::sqrt(5.0)), std::asin((i + 0.5) / rig.views * 0.97)});
+            for (int i = 0; i < rig.views; ++i) out.push_back({rad(rig.start_deg) + i * kPi * (3 - std::sqrt(5.0)), std::asin((i + 0.5) / rig.views * 0.97)});
             break;
     }
     return out;
@@ -222,6 +237,16 @@ class Object {
         centre_ = box.center();
         if (spec.solids.empty()) {
             for (const auto& v : spec.mesh.vertices) radius_ = std::max(radius_, (Vec3d(v[0], v[1], v[2]) - centre_).norm());
+            if (spec.photos && spec.look.table) {
+                std::vector<int> numbers;
+                std::vector<Eigen::AlignedBox3d> boxes;
+                for (const auto& f : spec.mesh.triangles) {
+                    numbers.push_back(static_cast<int>(numbers.size()));
+                    boxes.emplace_back();
+                    for (const uint32_t c : f) boxes.back().extend(Vec3d(spec.mesh.vertices[c][0], spec.mesh.vertices[c][1], spec.mesh.vertices[c][2]));
+                }
+                tree_.init(numbers.begin(), numbers.end(), boxes.begin(), boxes.end());
+            }
         } else {
             // The balls around solids are generous; what counts is where the union really ends.
             truth_ = mesh_of_solids(box);
@@ -299,7 +324,55 @@ class Object {
         return out;
     }
 
+    /// Distance along a ray to the first surface point. Meshes: by a bounding volume hierarchy.
+    std::optional<double> hit(const Camera::Ray& ray) const {
+        if (spec_.solids.empty()) return hit_mesh(ray);
+        std::optional<double> nearest;
+        for (const Solid& s : spec_.solids)
+            if (const auto t = s.hit(ray); t && (!nearest || *t < *nearest)) nearest = t;
+        return nearest;
+    }
+    /// Height of the lowest point along an axis.
+    double lowest(const Vec3d& up) const {
+        double least = INFINITY;
+        for (const auto& v : truth().vertices) least = std::min(least, Vec3d(v[0], v[1], v[2]).dot(up));
+        return least;
+    }
+
   private:
+    std::optional<double> hit_mesh(const Camera::Ray& ray) const {
+        struct Walker {
+            const Mesh& mesh;
+            const Camera::Ray& ray;
+            double nearest = INFINITY;
+            bool intersectVolume(const Eigen::AlignedBox3d& box) const {
+                double t0 = 0, t1 = nearest;
+                for (int a = 0; a < 3; ++a) {
+                    const double u = (box.min()[a] - ray.origin[a]) / ray.direction[a], v = (box.max()[a] - ray.origin[a]) / ray.direction[a];
+                    t0 = std::max(t0, std::min(u, v));
+                    t1 = std::min(t1, std::max(u, v));
+                }
+                return t0 <= t1;
+            }
+            bool intersectObject(int n) {
+                // Moeller and Trumbore 1997.
+                Vec3d v[3];
+                for (size_t c = 0; c < 3; ++c) {
+                    const auto& q = mesh.vertices[mesh.triangles[static_cast<size_t>(n)][c]];
+                    v[c] = Vec3d(q[0], q[1], q[2]);
+                }
+                const Vec3d e1 = v[1] - v[0], e2 = v[2] - v[0], p = ray.direction.cross(e2);
+                const double det = e1.dot(p);
+                if (det == 0) return false;
+                const Vec3d s = ray.origin - v[0], q = s.cross(e1);
+                const double a = s.dot(p) / det, b = ray.direction.dot(q) / det, t = e2.dot(q) / det;
+                if (a >= 0 && b >= 0 && a + b <= 1 && t > 0) nearest = std::min(nearest, t);
+                return false;
+            }
+        } walker{spec_.mesh, ray};
+        Eigen::BVIntersect(tree_, walker);
+        return std::isfinite(walker.nearest) ? std::optional(walker.nearest) : std::nullopt;
+    }
     double value(const Vec3d& p) const {
         double v = INFINITY;
         for (const Solid& s : spec_.solids) v = std::min(v, s.value(p));
@@ -310,12 +383,6 @@ class Object {
         Vec3d g;
         for (int a = 0; a < 3; ++a) g[a] = value(p + h * Vec3d::Unit(a)) - value(p - h * Vec3d::Unit(a));
         return g.normalized();
-    }
-    std::optional<double> hit(const Camera::Ray& ray) const {
-        std::optional<double> nearest;
-        for (const Solid& s : spec_.solids)
-            if (const auto t = s.hit(ray); t && (!nearest || *t < *nearest)) nearest = t;
-        return nearest;
     }
     Mesh mesh_of_solids(const Box3d& box) const {
         constexpr int kSide = 192;
@@ -358,16 +425,50 @@ class Object {
     Vec3d centre_ = Vec3d::Zero();
     double radius_ = 0;
     Mesh truth_;
+    Eigen::KdBVH<double, 3, int> tree_;  ///< of the mesh's faces
 };
 
-Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface& surface) {
+/// Where light and room stand: their frame is the camera's for a turntable, the object's otherwise.
+struct Room {
+    Mat3d room_from_scene;
+    Vec3d up_scene;  ///< the table's normal
+};
+
+Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface& surface, const PhotoLook& look, const Room& place) {
     const Intrinsics& k = camera.intrinsics;
     Image8 out(k.width_px, k.height_px, 3);
-    const Vec3d key = Vec3d(0.5, -0.6, 0.9).normalized(), fill = Vec3d(-0.8, 0.3, 0.2).normalized();
+    const Mat3d scene_from_room = place.room_from_scene.transpose();
+    const Vec3d key = scene_from_room * Vec3d(0.5, -0.6, 0.9).normalized(), fill = scene_from_room * Vec3d(-0.8, 0.3, 0.2).normalized();
+    const double foot = look.table ? object.lowest(place.up_scene) : 0;
+    const auto shade = [&](const SurfacePoint& p, const Vec3d& to_eye) {
+        const double lambert = 0.22 + 0.75 * std::max(0.0, p.normal.dot(key)) + 0.25 * std::max(0.0, p.normal.dot(fill));
+        const double highlight = look.gloss > 0 && p.normal.dot(key) > 0 ? look.gloss * std::pow(std::max(0.0, p.normal.dot((key + to_eye).normalized())), 60) : 0;
+        return Vec3d(lambert * albedo((p.position - object.centre()) / object.radius()) + Vec3d::Constant(highlight));
+    };
+    // What a ray sees past the object: the room, or the table with the object's shadow and reflection.
+    const auto beyond = [&](const Camera::Ray& ray) -> Vec3d {
+        const double down = ray.direction.dot(place.up_scene), above = ray.origin.dot(place.up_scene) - foot;
+        if (look.table && down < -1e-6 && above > 0) {
+            const Vec3d p = ray.origin - above / down * ray.direction;
+            const Vec3d from_middle = p - object.centre() - (p - object.centre()).dot(place.up_scene) * place.up_scene;
+            if (from_middle.norm() < 3 * object.radius()) {
+                const Vec3d lifted = p + 1e-4 * object.radius() * place.up_scene;
+                const double grain = noise(8 * (place.room_from_scene * from_middle) / object.radius());
+                Vec3d wood = (0.5 + 0.3 * grain) * Vec3d(0.45, 0.33, 0.22);
+                if (object.hit({lifted, key})) wood *= 0.35;
+                if (look.table_reflection > 0)
+                    if (const auto t = object.hit({lifted, (ray.direction - 2 * down * place.up_scene).normalized()}))
+                        wood = (1 - look.table_reflection) * wood + look.table_reflection * 0.7 * albedo((lifted + *t * (ray.direction - 2 * down * place.up_scene) - object.centre()) / object.radius());
+                return wood;
+            }
+        }
+        return room(place.room_from_scene * ray.direction);
+    };
     for (int y = 0; y < k.height_px; ++y)
         for (int x = 0; x < k.width_px; ++x) {
-            Vec3d light = room(camera.ray({x + 0.5, y + 0.5}).direction);
+            const Camera::Ray ray = camera.ray({x + 0.5, y + 0.5});
             const double alpha = coverage.at(x, y) / 255.0;
+            Vec3d light = alpha < 1 ? beyond(ray) : Vec3d::Zero().eval();
             if (alpha > 0) {
                 // A pixel that is partly covered but whose centre sees past takes a neighbour's surface.
                 const SurfacePoint* point = nullptr;
@@ -380,19 +481,68 @@ Image8 photograph(const Object& object, const Camera& camera, const Image8& cove
                         break;
                     }
                 }
-                if (point) {
-                    const double lambert = 0.22 + 0.75 * std::max(0.0, point->normal.dot(key)) + 0.25 * std::max(0.0, point->normal.dot(fill));
-                    light = (1 - alpha) * light + alpha * lambert * albedo((point->position - object.centre()) / object.radius());
-                }
+                if (point) light = (1 - alpha) * light + alpha * shade(*point, -ray.direction);
             }
             for (int c = 0; c < 3; ++c) out.at(x, y, c) = to_srgb(light[c]);
         }
     return out;
 }
 
-std::string frame_name(size_t i) {
+/// Noise of mean 0 and standard deviation about 1 over the plane, smooth over `length` pixels.
+double wobble(int x, int y, double length, uint64_t seed) {
+    const double shift = static_cast<double>(seed % 10007) * 17.3;
+    if (length <= 0) {
+        // Sum of four uniforms, standard deviation 1.
+        double sum = 0;
+        for (int i = 0; i < 4; ++i) sum += hash_noise(x, y, static_cast<int64_t>(seed % 1000003) * 4 + i) - 0.5;
+        return sum * std::sqrt(3.0);
+    }
+    double sum = 0;
+    for (int i = 0; i < 3; ++i) sum += noise(Vec3d(x / length + shift + 31.7 * i, y / length - shift, 7.1 * i + static_cast<double>(seed % 997))) - 0.5;
+    return sum * 3.6;  // measured: value noise has a standard deviation of 0.16
+}
+
+void damage(Image8& mask, const MaskDamage& d, bool holes_here, uint64_t seed) {
+    const auto reach = static_cast<int>(std::ceil(4 * d.noise_px + std::abs(d.dilate_px) + 2));
+    if (d.noise_px > 0 || d.dilate_px != 0) {
+        const ImageF s = signed_distance(mask, std::clamp(reach + 2, 8, kernel::kMaxReach_px));
+        for (int y = 0; y < mask.height; ++y)
+            for (int x = 0; x < mask.width; ++x) {
+                const float at = s.at(x, y);
+                if (std::fabs(at) > static_cast<float>(reach)) continue;
+                const double moved = at - d.dilate_px - (d.noise_px > 0 ? d.noise_px * wobble(x, y, d.correlation_px, seed) : 0);
+                mask.at(x, y) = static_cast<uint8_t>(std::lround(255 * std::clamp(0.5 - moved, 0.0, 1.0)));
+            }
+    }
+    if (!holes_here) return;
+    Dice dice(seed);
+    const ImageF s = signed_distance(mask, std::min(kernel::kMaxReach_px, static_cast<int>(4 * d.radius_px) + 8));
+    const auto disc = [&](bool hole, const auto& suits) {
+        for (int attempt = 0; attempt < 10000; ++attempt) {
+            const int cx = static_cast<int>((0.5 + 0.5 * dice()) * (mask.width - 1)), cy = static_cast<int>((0.5 + 0.5 * dice()) * (mask.height - 1));
+            if (!suits(s.at(cx, cy))) continue;
+            const int r = static_cast<int>(d.radius_px) + 2;
+            for (int y = std::max(0, cy - r); y <= std::min(mask.height - 1, cy + r); ++y)
+                for (int x = std::max(0, cx - r); x <= std::min(mask.width - 1, cx + r); ++x) {
+                    const double in = std::clamp(d.radius_px - std::hypot(x - cx, y - cy) + 0.5, 0.0, 1.0);
+                    const double old = mask.at(x, y) / 255.0;
+                    mask.at(x, y) = static_cast<uint8_t>(std::lround(255 * (hole ? std::min(old, 1 - in) : std::max(old, in))));
+                }
+            return;
+        }
+    };
+    for (int i = 0; i < d.holes; ++i) disc(true, [&](float v) { return v < -1.2 * d.radius_px; });
+    for (int i = 0; i < d.blobs; ++i) disc(false, [&](float v) { return std::fabs(v) < 0.5 * d.radius_px; });
+}
+
+void add_sensor_noise(Image8& photo, double sigma, uint64_t seed) {
+    for (size_t i = 0; i < photo.data.size(); ++i)
+        photo.data[i] = static_cast<uint8_t>(std::clamp(std::lround(photo.data[i] + sigma * wobble(static_cast<int>(i % 65521), static_cast<int>(i / 65521), 0, seed)), 0L, 255L));
+}
+
+std::string frame_name(size_t i, const char* extension) {
     const std::string n = std::to_string(i);
-    return std::string(4 - std::min<size_t>(4, n.size()), '0') + n + ".png";
+    return std::string(4 - std::min<size_t>(4, n.size()), '0') + n + extension;
 }
 
 }  // namespace
@@ -404,8 +554,7 @@ SyntheticSpec builtin_spec(const std::string& name) {
         Solid s;
         s.kind = kind;
         s.size = size;
-        const Vec3d r = turn_deg * kPi / 180;
-        s.world_from_solid.rotation = (Eigen::AngleAxisd(r.z(), Vec3d::UnitZ()) * Eigen::AngleAxisd(r.y(), Vec3d::UnitY()) * Eigen::AngleAxisd(r.x(), Vec3d::UnitX())).toRotationMatrix();
+        s.world_from_solid.rotation = turned(turn_deg);
         s.world_from_solid.translation = centre;
         spec.solids.push_back(s);
     };
@@ -439,7 +588,7 @@ SyntheticSpec read_spec(const fs::path& file) {
                 if (std::none_of(keys.begin(), keys.end(), [&](const char* k) { return it.key() == k; }))
                     throw InputError(file.string() + ": " + where + "unknown field '" + it.key() + "'");
         };
-        known(j, {"name", "builtin", "solids", "mesh", "rig", "seed"}, "");
+        known(j, {"name", "builtin", "solids", "mesh", "rig", "look", "damage", "seed"}, "");
         if (j.contains("builtin")) spec = builtin_spec(j["builtin"]);
         spec.name = j.value("name", file.stem().string());
         spec.seed = j.value("seed", uint64_t{1});
@@ -456,16 +605,12 @@ SyntheticSpec read_spec(const fs::path& file) {
             solid.kind = kind->second;
             solid.size = vec(s.at("size"));
             if (s.contains("centre")) solid.world_from_solid.translation = vec(s["centre"]);
-            if (s.contains("turn_deg")) {
-                const Vec3d r = vec(s["turn_deg"]) * kPi / 180;
-                solid.world_from_solid.rotation =
-                    (Eigen::AngleAxisd(r.z(), Vec3d::UnitZ()) * Eigen::AngleAxisd(r.y(), Vec3d::UnitY()) * Eigen::AngleAxisd(r.x(), Vec3d::UnitX())).toRotationMatrix();
-            }
+            if (s.contains("turn_deg")) solid.world_from_solid.rotation = turned(vec(s["turn_deg"]));
             spec.solids.push_back(solid);
         }
         if (j.contains("rig")) {
             const json& r = j["rig"];
-            known(r, {"type", "views", "elevation_deg", "rings", "fov_deg", "distance", "fill", "orthographic", "width", "height", "pixel_aspect",
+            known(r, {"type", "motion", "start_deg", "arc_deg", "speed_variation", "sittings", "lens", "breathing", "views", "elevation_deg", "rings", "fov_deg", "distance", "fill", "orthographic", "width", "height", "pixel_aspect",
                       "shake_angle_deg", "shake_elevation_deg", "shake_roll_deg", "shake_position", "shake_look_at"}, "rig: ");
             Rig& rig = spec.rig;
             const std::string type = r.value("type", "orbit");
@@ -473,6 +618,18 @@ SyntheticSpec read_spec(const fs::path& file) {
             else if (type == "rings") rig.kind = Rig::Kind::Rings;
             else if (type == "dome") rig.kind = Rig::Kind::Dome;
             else throw InputError(file.string() + ": rig: type '" + type + "' is none of orbit, rings, dome");
+            const std::string motion = r.value("motion", "camera");
+            if (motion != "camera" && motion != "turntable") throw InputError(file.string() + ": rig: motion '" + motion + "' is none of camera, turntable");
+            rig.motion = motion == "turntable" ? Rig::Motion::Turntable : Rig::Motion::Camera;
+            rig.start_deg = r.value("start_deg", rig.start_deg);
+            rig.arc_deg = r.value("arc_deg", rig.arc_deg);
+            rig.speed_variation = r.value("speed_variation", rig.speed_variation);
+            rig.sittings = r.value("sittings", rig.sittings);
+            rig.breathing = r.value("breathing", rig.breathing);
+            if (r.contains("lens")) {
+                rig.lens.model = Lens::Model::OpenCV;
+                rig.lens.coefficients = r["lens"].get<std::vector<double>>();
+            }
             rig.views = r.value("views", rig.views);
             rig.elevation_deg = r.value("elevation_deg", rig.elevation_deg);
             for (const json& ring : r.value("rings", json::array())) rig.rings.push_back({ring.at("views"), ring.at("elevation_deg")});
@@ -489,6 +646,30 @@ SyntheticSpec read_spec(const fs::path& file) {
             rig.shake_position = r.value("shake_position", 0.0);
             rig.shake_look_at = r.value("shake_look_at", 0.0);
         }
+        if (j.contains("look")) {
+            const json& l = j["look"];
+            known(l, {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif"}, "look: ");
+            PhotoLook& look = spec.look;
+            look.gloss = l.value("gloss", look.gloss);
+            look.table = l.value("table", look.table);
+            look.table_reflection = l.value("table_reflection", look.table_reflection);
+            look.blur_px = l.value("blur_px", look.blur_px);
+            look.noise = l.value("noise", look.noise);
+            look.jpeg_quality = l.value("jpeg_quality", look.jpeg_quality);
+            look.exif = l.value("exif", look.exif);
+        }
+        if (j.contains("damage")) {
+            const json& d = j["damage"];
+            known(d, {"noise_px", "correlation_px", "dilate_px", "holes", "blobs", "radius_px", "share"}, "damage: ");
+            MaskDamage& m = spec.damage;
+            m.noise_px = d.value("noise_px", m.noise_px);
+            m.correlation_px = d.value("correlation_px", m.correlation_px);
+            m.dilate_px = d.value("dilate_px", m.dilate_px);
+            m.holes = d.value("holes", m.holes);
+            m.blobs = d.value("blobs", m.blobs);
+            m.radius_px = d.value("radius_px", m.radius_px);
+            m.share = d.value("share", m.share);
+        }
     } catch (const json::exception& e) {
         throw InputError(file.string() + ": " + e.what());
     }
@@ -497,12 +678,23 @@ SyntheticSpec read_spec(const fs::path& file) {
 
 SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     const Rig& rig = spec.rig;
-    if (rig.width_px < 2 || rig.height_px < 2 || !(rig.fov_deg > 0 && rig.fov_deg < 170) || !(rig.pixel_aspect > 0) || !(rig.fill > 0))
-        throw UsageError("synth: image size must be at least 2 x 2, fov within 0..170 degrees, pixel aspect and fill > 0");
+    std::string bad;
+    const auto need = [&](bool ok, const std::string& what) {
+        if (!ok) bad += (bad.empty() ? "" : "; ") + what;
+    };
+    need(rig.width_px >= 2 && rig.height_px >= 2, "the image must be at least 2 x 2");
+    need(rig.fov_deg > 0 && rig.fov_deg < 170, "the field of view must be within 0..170 degrees");
+    need(rig.pixel_aspect > 0 && rig.fill > 0, "pixel aspect and fill must be > 0");
+    need(rig.sittings == 1 || rig.sittings == 2, "one or two sittings");
+    need(std::abs(rig.speed_variation) <= 0.9, "the speed's variation is at most 0.9");
+    need(std::abs(rig.breathing) <= 0.5, "focus breathing is at most 0.5");
+    need(spec.look.jpeg_quality >= 0 && spec.look.jpeg_quality <= 100, "the JPEG quality must be 1..100 (0: PNG)");
+    need(!(rig.lens.distorts() && rig.orthographic), "a parallel projection has no lens");
+    if (!bad.empty()) throw UsageError("synth: " + bad);
     const std::vector<Direction> where = directions(rig);
     if (where.empty()) throw UsageError("synth: zero views");
     const Object object(spec);
-    const double half_fov = 0.5 * rig.fov_deg * kPi / 180;
+    const double half_fov = 0.5 * rad(rig.fov_deg);
     const double distance = rig.distance > 0 ? rig.distance : object.radius() / std::sin(std::atan(rig.fill * std::tan(half_fov)));
 
     Intrinsics k;
@@ -514,17 +706,26 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     k.fy = rig.orthographic ? 0.5 * rig.height_px * rig.fill / object.radius() : 0.5 * rig.height_px / std::tan(half_fov);
     k.fx = k.fy / rig.pixel_aspect;
 
+    // The second sitting: the object tipped over about its middle. Cameras stand in the sitting's own frame.
+    Rigid3 scene_from_side;
+    scene_from_side.rotation = turned({90, 0, 35}).transpose();
+    scene_from_side.translation = object.centre() - scene_from_side.rotation * object.centre();
+    const auto in_second = [&](size_t i) { return rig.sittings == 2 && 2 * i >= where.size(); };
+
     SyntheticScene scene;
+    scene.look = spec.look;
     scene.truth = object.truth();
     Dice dice(spec.seed);
-    const auto rad = [](double deg) { return deg * kPi / 180; };
+    std::vector<double> azimuths;
     for (size_t i = 0; i < where.size(); ++i) {
         const auto place = [&](double azimuth, double elevation) {
             return Vec3d(object.centre() + distance * Vec3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)));
         };
         View view;
-        view.name = "images/" + frame_name(i);
-        view.mask_path = "masks/" + frame_name(i);
+        view.name = "images/" + frame_name(i, spec.photos && spec.look.jpeg_quality > 0 ? ".jpg" : ".png");
+        view.mask_path = "masks/" + frame_name(i, ".png");
+        view.lens = rig.lens;
+        view.sitting = in_second(i) ? "1" : "0";
         view.camera = look_at(place(where[i].azimuth_rad, where[i].elevation_rad), object.centre(), 0, k);
         scene.nominal.views.push_back(view);
         const double azimuth = where[i].azimuth_rad + rad(rig.shake_angle_deg) * dice(), elevation = where[i].elevation_rad + rad(rig.shake_elevation_deg) * dice();
@@ -533,19 +734,61 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
             moved[a] = rig.shake_position * distance * dice();
             aim[a] = rig.shake_look_at * distance * dice();
         }
-        view.camera = look_at(place(azimuth, elevation) + moved, object.centre() + aim, rad(rig.shake_roll_deg) * dice(), k);
+        Intrinsics breathed = k;
+        const double factor = 1 + rig.breathing * std::sin(2 * kPi * 1.7 * static_cast<double>(i) / static_cast<double>(where.size()) + 0.6);
+        breathed.fx *= factor;
+        breathed.fy *= factor;
+        view.camera = look_at(place(azimuth, elevation) + moved, object.centre() + aim, rad(rig.shake_roll_deg) * dice(), breathed);
         scene.views.views.push_back(view);
+        azimuths.push_back(azimuth);
     }
     scene.views.up = scene.nominal.up = "z";
+    if (rig.sittings == 2) {
+        scene.views.sittings.push_back({"1", scene_from_side, 1.0});
+        scene.nominal.sittings.push_back({"1", Rigid3(), 1.0});  // how it was tipped is not known to the photographer
+    }
+    const std::vector<Camera> cameras = scene.views.cameras();
     scene.masks.resize(where.size());
+    if (spec.damage.any()) scene.true_masks.resize(where.size());
     if (spec.photos) scene.photos.resize(where.size());
     progress.begin("synth", where.size());
     tbb::parallel_for(size_t{0}, where.size(), [&](size_t i) {
-        const Camera& camera = scene.views.views[i].camera;
+        // With a lens the picture is taken without it first, with room around, and then bent.
+        Camera camera = cameras[i];
+        const int margin = rig.lens.distorts() ? std::max(rig.width_px, rig.height_px) / 5 : 0;
+        camera.intrinsics.width_px += 2 * margin;
+        camera.intrinsics.height_px += 2 * margin;
+        camera.intrinsics.cx += margin;
+        camera.intrinsics.cy += margin;
         // A mesh's masks come from its own rasteriser.
         const Object::Surface surface = spec.photos || !spec.solids.empty() ? object.surface(camera, spec.photos) : Object::Surface();
-        scene.masks[i].coverage = object.coverage(camera, surface);
-        if (spec.photos) scene.photos[i] = photograph(object, camera, scene.masks[i].coverage, surface);
+        Image8 mask = object.coverage(camera, surface);
+        Image8 photo;
+        if (spec.photos) {
+            const Mat3d side_from_scene = in_second(i) ? Mat3d(scene_from_side.rotation.transpose()) : Mat3d(Mat3d::Identity());
+            Room place;
+            place.up_scene = side_from_scene.transpose() * Vec3d::UnitZ();
+            place.room_from_scene = side_from_scene;
+            if (rig.motion == Rig::Motion::Turntable) place.room_from_scene = Mat3d(Eigen::AngleAxisd(-azimuths[i], Vec3d::UnitZ())) * side_from_scene;
+            photo = photograph(object, camera, mask, surface, spec.look, place);
+        }
+        if (margin > 0) {
+            const Intrinsics& own = cameras[i].intrinsics;
+            mask = io::distort(mask, margin, own, rig.lens);
+            if (spec.photos) photo = io::distort(photo, margin, own, rig.lens);
+        }
+        if (spec.photos) {
+            if (spec.look.blur_px > 0) photo = io::blurred(photo, spec.look.blur_px);
+            if (spec.look.noise > 0) add_sensor_noise(photo, spec.look.noise, spec.seed * 7919 + i);
+            scene.photos[i] = std::move(photo);
+        }
+        if (spec.damage.any()) {
+            scene.true_masks[i].coverage = mask;
+            const double every = spec.damage.share;
+            const bool holes_here = std::floor((static_cast<double>(i) + 1) * every) > std::floor(static_cast<double>(i) * every);
+            damage(mask, spec.damage, holes_here, spec.seed * 104729 + i);
+        }
+        scene.masks[i].coverage = std::move(mask);
         progress.step();
     });
     return scene;
@@ -554,6 +797,7 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
 void write_scene(const SyntheticScene& scene, const fs::path& folder) {
     make_folder(folder / "masks");
     make_folder(folder / "images");
+    if (!scene.true_masks.empty()) make_folder(folder / "masks_true");
     tbb::parallel_for(size_t{0}, scene.masks.size(), [&](size_t i) {
         const auto write = [&](const fs::path& file, const Image8& image) {
             const auto png = io::encode_png(image);
@@ -561,7 +805,15 @@ void write_scene(const SyntheticScene& scene, const fs::path& folder) {
         };
         write(folder / scene.views.views[i].mask_path, scene.masks[i].coverage);
         // Without photographs the silhouettes stand in for them.
-        write(folder / scene.views.views[i].name, scene.photos.empty() ? scene.masks[i].coverage : scene.photos[i]);
+        const View& view = scene.views.views[i];
+        if (!scene.true_masks.empty()) write(folder / "masks_true" / view.mask_path.filename(), scene.true_masks[i].coverage);
+        if (!scene.photos.empty() && scene.look.jpeg_quality > 0) {
+            const Intrinsics& k = view.camera.intrinsics;
+            const auto jpeg = io::encode_jpeg(scene.photos[i], scene.look.jpeg_quality, scene.look.exif && !k.orthographic ? 36.0 * k.fx / k.width_px : 0);
+            write_file(folder / view.name, jpeg.data(), jpeg.size());
+        } else {
+            write(folder / view.name, scene.photos.empty() ? scene.masks[i].coverage : scene.photos[i]);
+        }
     });
     const auto cameras = [&](const Views& views, const char* name) {
         Views named = views;

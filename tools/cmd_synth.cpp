@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <optional>
 
 #include "cli.h"
 #include "vdbcarve/synthetic.h"
@@ -16,6 +17,10 @@ struct Raw {
     double fov = 0, shake = 0;
     uint64_t seed = 0;
     bool masks_only = false, force = false, orthographic = false;
+    std::string motion, lens;
+    std::optional<double> elevation, start, arc, speed, breathing, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius, mask_share;
+    std::optional<int> sittings, jpeg, holes, blobs;
+    bool table = false, exif = false;
 };
 
 SyntheticSpec spec_of(const Raw& raw) {
@@ -51,6 +56,36 @@ SyntheticSpec spec_of(const Raw& raw) {
         rig.shake_roll_deg = 1.5 * raw.shake;
         rig.shake_position = rig.shake_look_at = 0.02 * raw.shake;
     }
+    const auto set = [](auto& target, const auto& given) {
+        if (given) target = *given;
+    };
+    if (!raw.motion.empty()) rig.motion = raw.motion == "turntable" ? Rig::Motion::Turntable : Rig::Motion::Camera;
+    set(rig.elevation_deg, raw.elevation);
+    set(rig.start_deg, raw.start);
+    set(rig.arc_deg, raw.arc);
+    set(rig.speed_variation, raw.speed);
+    set(rig.sittings, raw.sittings);
+    set(rig.breathing, raw.breathing);
+    if (!raw.lens.empty()) {
+        rig.lens.model = Lens::Model::OpenCV;
+        rig.lens.coefficients = numbers("--lens", raw.lens, 4);
+    }
+    PhotoLook& look = spec.look;
+    set(look.gloss, raw.gloss);
+    set(look.blur_px, raw.blur);
+    set(look.noise, raw.noise);
+    set(look.jpeg_quality, raw.jpeg);
+    look.table = look.table || raw.table;
+    look.exif = look.exif || raw.exif;
+    if (raw.exif && look.jpeg_quality == 0) look.jpeg_quality = 92;
+    MaskDamage& damage = spec.damage;
+    set(damage.noise_px, raw.mask_noise);
+    set(damage.correlation_px, raw.mask_correlation);
+    set(damage.dilate_px, raw.mask_dilate);
+    set(damage.radius_px, raw.mask_radius);
+    set(damage.share, raw.mask_share);
+    set(damage.holes, raw.holes);
+    set(damage.blobs, raw.blobs);
     spec.photos = !raw.masks_only;
     return spec;
 }
@@ -71,6 +106,27 @@ Command add_synth(CLI::App& program) {
     app->add_option("--shake", raw->shake, "unsteady hand: 1 = 4 deg of angle, 3 of elevation, 1.5 of roll, 2 % of position and aim")->check(CLI::Range(0.0, 5.0));
     app->add_option("--seed", raw->seed, "of everything random (1)");
     app->add_flag("--orthographic", raw->orthographic, "parallel projection");
+    app->add_option("--elevation", raw->elevation, "of an orbit, degrees (10)")->check(CLI::Range(-85.0, 85.0))->group("Motion");
+    app->add_option("--motion", raw->motion, "camera: it walks around; turntable: the object turns, light and shadow stay with the camera")->check(CLI::IsMember({"camera", "turntable"}))->group("Motion");
+    app->add_option("--start", raw->start, "azimuth of the first view, degrees")->group("Motion");
+    app->add_option("--arc", raw->arc, "degrees that the views are spread over (360); more than 360: arcs overlap")->group("Motion");
+    app->add_option("--speed-variation", raw->speed, "smooth changes of angular speed, share of the mean")->check(CLI::Range(0.0, 0.9))->group("Motion");
+    app->add_option("--sittings", raw->sittings, "2: half of the views show the object laid on its side")->check(CLI::Range(1, 2))->group("Motion");
+    app->add_option("--lens", raw->lens, "k1,k2,p1,p2: distortion of photos and masks (OpenCV's model)")->group("Camera");
+    app->add_option("--breathing", raw->breathing, "the focal length wanders by up to this share")->check(CLI::Range(0.0, 0.5))->group("Camera");
+    app->add_option("--blur", raw->blur, "defocus, standard deviation in px")->check(CLI::Range(0.0, 50.0))->group("Camera");
+    app->add_option("--noise", raw->noise, "sensor noise, standard deviation in 8-bit steps")->check(CLI::Range(0.0, 100.0))->group("Camera");
+    app->add_option("--jpeg", raw->jpeg, "photos as .jpg of this quality")->check(CLI::Range(1, 100))->group("Camera");
+    app->add_flag("--exif", raw->exif, ".jpg with the focal length in EXIF")->group("Camera");
+    app->add_option("--gloss", raw->gloss, "strength of highlights, 0..1")->check(CLI::Range(0.0, 1.0))->group("Light");
+    app->add_flag("--table", raw->table, "a table under the object, with its shadow and reflection")->group("Light");
+    app->add_option("--mask-noise", raw->mask_noise, "masks' contours off by this many px (standard deviation)")->check(CLI::Range(0.0, 50.0))->group("Bad masks");
+    app->add_option("--mask-correlation", raw->mask_correlation, "over this many px (0: every pixel by itself)")->check(CLI::Range(0.0, 500.0))->group("Bad masks");
+    app->add_option("--mask-dilate", raw->mask_dilate, "masks too large by this many px (negative: too small)")->check(CLI::Range(-50.0, 50.0))->group("Bad masks");
+    app->add_option("--mask-holes", raw->holes, "holes a mask")->check(CLI::Range(0, 100))->group("Bad masks");
+    app->add_option("--mask-blobs", raw->blobs, "blobs a mask")->check(CLI::Range(0, 100))->group("Bad masks");
+    app->add_option("--mask-radius", raw->mask_radius, "of holes and blobs, px (14)")->check(CLI::Range(1.0, 500.0))->group("Bad masks");
+    app->add_option("--mask-share", raw->mask_share, "share of the views with holes and blobs (1)")->check(CLI::Range(0.0, 1.0))->group("Bad masks");
     app->add_flag("--masks-only", raw->masks_only, "no photographs");
     app->add_flag("--force", raw->force, "write into a folder that is not empty");
     return {app, [raw](Common&, Progress& progress) {

@@ -109,7 +109,7 @@ IndexBox voxels_in_bounds(const Lattice& lattice, const Box3d& bounds_world, int
 /// Uses max_misses, min_seen and outside of the options. Throws UndeterminedError when the silhouettes do
 /// not bound the object, ContradictionError naming views when no hull is left.
 Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress);
-/// The same from masks (of the views, in their order), with fields of its own: of at most 640 samples a side, from silhouettes
+/// The same from masks (of the views, in their order), with fields of its own: of at most 1024 samples a side, from silhouettes
 /// that never shrink, so the box may be a sample too large. The views' fields are not looked at.
 Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<MaskView>& masks, double silhouette_offset_px, const CarveOptions& options, Progress& progress);
 

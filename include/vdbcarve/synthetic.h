@@ -37,6 +37,10 @@ struct Solid {
 /// How the cameras stand. The object's middle is looked at, z is up.
 struct Rig {
     enum class Kind { Orbit, Rings, Dome };
+    /// Who moves. Camera: it walks around, light and room stay with the object. Turntable: the object turns before a camera
+    /// that stands still, so light and room stay with the camera and shading slides over the object. Poses are the same.
+    enum class Motion { Camera, Turntable };
+    Motion motion = Motion::Camera;
     struct Ring {
         int views;
         double elevation_deg;
@@ -44,6 +48,10 @@ struct Rig {
     Kind kind = Kind::Orbit;
     int views = 36;
     double elevation_deg = 10;       ///< of an orbit
+    double start_deg = 0;            ///< azimuth of the first view
+    double arc_deg = 360;            ///< of an orbit: less for a part, more for arcs that overlap; a full turn does not repeat its start
+    double speed_variation = 0;      ///< smooth changes of angular speed, share of the mean (0..0.9), one slow and one fast phase a turn
+    int sittings = 1;                ///< 2: the second half of the views shows the object laid on its side
     std::vector<Ring> rings;         ///< of rings
     double fov_deg = 30;             ///< vertical
     double distance = 0;             ///< from the object's middle, world units; 0: so that it fills the image
@@ -51,9 +59,33 @@ struct Rig {
     bool orthographic = false;
     int width_px = 640, height_px = 480;
     double pixel_aspect = 1;         ///< fy / fx
+    Lens lens;                       ///< photographs and masks are distorted by it
+    double breathing = 0;            ///< the focal length wanders smoothly by up to this share (focus breathing)
     // An unsteady hand: the true cameras deviate, uniformly within plus or minus these, from the nominal ones.
     double shake_angle_deg = 0, shake_elevation_deg = 0, shake_roll_deg = 0;
     double shake_position = 0, shake_look_at = 0;  ///< share of the distance
+};
+
+/// What the room and the photographer's gear do to the photographs. Masks are not touched.
+struct PhotoLook {
+    double gloss = 0;          ///< strength of a highlight (Blinn-Phong), 0..1
+    bool table = false;        ///< the object stands on a table: its shadow, and its reflection where the table is glossy
+    double table_reflection = 0.15;
+    double blur_px = 0;        ///< defocus, standard deviation of a Gaussian
+    double noise = 0;          ///< of the sensor, standard deviation in 8-bit steps
+    int jpeg_quality = 0;      ///< 1..100: .jpg files; 0: .png
+    bool exif = false;         ///< .jpg files say the focal length
+};
+
+/// What goes wrong with masks. Exact ones are kept beside them (SyntheticScene::true_masks).
+struct MaskDamage {
+    double noise_px = 0;           ///< the contour moves in and out, standard deviation
+    double correlation_px = 0;     ///< over this length; 0: every pixel by itself
+    double dilate_px = 0;          ///< the contour moves out
+    int holes = 0, blobs = 0;      ///< round holes in the object and round blobs at its contour, a mask
+    double radius_px = 14;         ///< theirs
+    double share = 1;              ///< of the views that have holes and blobs, spread evenly
+    bool any() const { return noise_px > 0 || dilate_px != 0 || ((holes > 0 || blobs > 0) && share > 0); }
 };
 
 struct SyntheticSpec {
@@ -61,6 +93,8 @@ struct SyntheticSpec {
     std::vector<Solid> solids;       ///< their union; empty when `mesh` is given
     Mesh mesh;                       ///< a closed mesh instead
     Rig rig;
+    PhotoLook look;
+    MaskDamage damage;
     uint64_t seed = 1;
     bool photos = true;              ///< render photographs, not only masks
 };
@@ -69,7 +103,9 @@ struct SyntheticScene {
     Views views;                     ///< the true cameras
     Views nominal;                   ///< what the photographer meant
     std::vector<Mask> masks;
+    std::vector<Mask> true_masks;    ///< before MaskDamage; empty without
     std::vector<Image8> photos;      ///< sRGB; empty without SyntheticSpec::photos
+    PhotoLook look;                  ///< for the files' format
     Mesh truth;
 };
 
@@ -82,7 +118,7 @@ SyntheticSpec read_spec(const std::filesystem::path& file);
 /// Same spec and seed, same bytes.
 SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress);
 
-/// Writes images/, masks/, transforms.json (true cameras), transforms_nominal.json and truth.ply.
+/// Writes images/, masks/ (and masks_true/ where masks were damaged), transforms.json (true cameras), transforms_nominal.json and truth.ply.
 void write_scene(const SyntheticScene& scene, const std::filesystem::path& folder);
 
 }  // namespace vdbcarve
