@@ -149,6 +149,16 @@ Image8 coarser(ImageView<uint8_t> m, int scale, bool largest) {
     return out;
 }
 
+struct Window {
+    int x0, y0, x1, y1;
+};
+
+/// The contour is within a pixel of an object's pixel centre, the offset moves it; the border's samples saturate.
+Window window_around(const Box& box, int width, int height, double reach, double offset) {
+    const int margin = static_cast<int>(std::ceil(reach + std::max(offset, 0.0))) + 2;
+    return {std::max(0, box.x0 - margin), std::max(0, box.y0 - margin), std::min(width, box.x1 + 1 + margin), std::min(height, box.y1 + 1 + margin)};
+}
+
 DistanceField field_of(const MaskView& mask, const DistanceOptions& options) {
     DistanceField out;
     out.scale = options.scale;
@@ -186,15 +196,24 @@ DistanceField field_of(const MaskView& mask, const DistanceOptions& options) {
     out.object_box[1] = box.y0;
     out.object_box[2] = box.x1;
     out.object_box[3] = box.y1;
-    // The contour is within a pixel of an object's pixel centre, the offset moves it; the border's samples saturate.
-    const int margin = static_cast<int>(std::ceil(reach + std::max(offset, 0.0))) + 2;
-    int x0 = std::max(0, box.x0 - margin), y0 = std::max(0, box.y0 - margin);
-    int x1 = std::min(coverage.width, box.x1 + 1 + margin), y1 = std::min(coverage.height, box.y1 + 1 + margin);
-    out.silhouette = window_field(coverage, x0, y0, x1, y1, reach, offset);
+    const Window w = window_around(box, coverage.width, coverage.height, reach, offset);
+    out.silhouette = window_field(coverage, w.x0, w.y0, w.x1, w.y1, reach, offset);
     return out;
 }
 
 }  // namespace
+
+size_t planned_field_bytes(const MaskView& mask, const DistanceOptions& options) {
+    if (mask.coverage.empty()) return 0;
+    const int width = (mask.coverage.width + options.scale - 1) / options.scale, height = (mask.coverage.height + options.scale - 1) / options.scale;
+    const auto bytes = [](int w, int h) { return static_cast<size_t>(w) * static_cast<size_t>(h) * sizeof(int16_t); };
+    if (!mask.ignore.empty()) return 2 * bytes(width, height);
+    Box box = object_box(mask.coverage);
+    if (box.empty()) return bytes(2, 2);
+    box = {box.x0 / options.scale, box.y0 / options.scale, box.x1 / options.scale, box.y1 / options.scale};
+    const Window w = window_around(box, width, height, options.reach_samples, options.silhouette_offset_px / options.scale);
+    return bytes(w.x1 - w.x0, w.y1 - w.y0);
+}
 
 ImageF signed_distance(ImageView<uint8_t> m, int reach_px) {
     if (m.width < 2 || m.height < 2)

@@ -28,8 +28,10 @@ size_t peak_memory_bytes() {
     return static_cast<size_t>(usage.ru_maxrss) * 1024;
 }
 
+void release_memory() { malloc_trim(0); }
+
 bool reset_peak_memory() {
-    malloc_trim(0);  // what was freed goes back, so that the mark shows what is held
+    release_memory();  // so that the mark shows what is held
     std::ofstream out("/proc/self/clear_refs");
     out << "5" << std::flush;
     return static_cast<bool>(out);

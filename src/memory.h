@@ -10,6 +10,8 @@ namespace vdbcarve {
 size_t peak_memory_bytes();
 /// Starts the mark anew where the kernel allows it (Linux). False: it goes on from before.
 bool reset_peak_memory();
+/// Gives freed memory back to the system.
+void release_memory();
 /// Resident now.
 size_t resident_memory_bytes();
 /// Memory of the machine, or of the container's limit.

@@ -99,7 +99,7 @@ class Job {
         stage("mask", [&] { return masks(); });
         if (o_.last_stage == LastStage::Mask) return finish();
         plan_key();
-        const bool have_hull = fs::exists(hull_file()) && stage_note(hull_json(), {"grid", "warnings", "backend"});
+        const bool have_hull = hull_is_there();
         stage("distance", [&] {
             if (have_hull && !o_.dry_run) return true;  // the hull made from them is there
             distances();
@@ -108,8 +108,7 @@ class Job {
         if (o_.dry_run) return finish();
         stage("carve", [&] { return carve_hull(); });
         if (o_.last_stage == LastStage::Carve) {
-            if (!o_.occupancy) place_copy(hull_file(), o_.output / "hull.vdb");
-            else place_copy(hull_file(), o_.output / "volume.vdb");
+            place_hull();
             return finish();
         }
         stage("level_set", [&] { return make_surface(); });
@@ -123,7 +122,9 @@ class Job {
     void stage(const char* name, const Work& work) {
         progress_.check();
         const auto start = std::chrono::steady_clock::now();
+        reset_peak_memory();
         const bool reused = work();
+        peak_bytes_ = std::max(peak_bytes_, peak_memory_bytes());
         json entry{{"name", name},
                    {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()},
                    {"peak_rss_bytes", peak_memory_bytes()},
@@ -317,6 +318,12 @@ class Job {
         hull_key_ = h.hex();
     }
     fs::path hull_file() const { return store_.path("hull", hull_key_, ".vdb"); }
+    /// The hull, whole or in bricks, of an earlier run. Stages after it want it whole.
+    bool hull_is_there() const {
+        const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"});
+        if (!note) return false;
+        return fs::exists(hull_file()) || (o_.last_stage == LastStage::Carve && (*note)["grid"].contains("bricks") && fs::exists(brick_folder()));
+    }
     fs::path hull_json() const { return store_.path("hull", hull_key_, ".json"); }
 
     /// Bounds, grid, and the distance fields that suit them.
@@ -329,8 +336,137 @@ class Job {
         warnings_before_grid_ = progress_.warnings().size();
         plan_grid();
         if (o_.dry_run) return;
+        if (batch_ < inputs_.size()) return;  // made in batches while carving
         fields_ = distance_fields(used_masks_, field_options_, progress_);
         for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
+    }
+
+    // --------------------------------------------------------------------------------------- memory
+
+    /// Leaves of the hull at the planned resolution: those of two coarse hulls, continued. The surface's leaves grow with the
+    /// square of the resolution, with a linear part from its creases and ends.
+    double predict_leaves() {
+        const double target = carve_.bounds_world.sizes().maxCoeff() / carve_.lattice.voxel_size;
+        const auto leaves_at = [&](double side) {
+            CarveOptions o = carve_;
+            o.occupancy = false;
+            o.allow_empty = true;
+            o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / side;
+            std::vector<Camera> cameras;
+            for (const CarveInput& input : inputs_) cameras.push_back(input.camera);
+            const FieldPlan plan = plan_fields(cameras, o);
+            DistanceOptions d = o_.distance;
+            d.scale = plan.scale;
+            d.reach_samples = plan.reach_samples;
+            Progress quiet;
+            const std::vector<DistanceField> fields = distance_fields(used_masks_, d, quiet);
+            std::vector<CarveInput> inputs = inputs_;
+            for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
+            return static_cast<double>(carve(inputs, o, quiet).statistics.leaves);
+        };
+        const double fine = std::min(target, 320.0), coarse = 0.5 * fine;
+        const double a = leaves_at(coarse), b = leaves_at(fine);
+        const double square = (b / fine - a / coarse) / (fine - coarse), linear = a / coarse - square * coarse;
+        return std::max(1.0, square * target * target + linear * target);
+    }
+
+    // Bytes a leaf of the surface, measured on the dragon at 512 to 2048 (BENCHMARKS.md): values, masks and nodes; the
+    // level set's second set of values and its bookkeeping; the mesh with what OpenVDB needs to extract it (47 vertices a
+    // leaf); two volumes, one mesh and compressed buffers while files are written.
+    static constexpr double kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300;
+    static constexpr double kCarveBase = 20e6, kMeshBase = 40e6, kExportBase = 70e6;
+
+    /// Peak memory of the run from here, by stage, into the report; then batches, bricks, or a clear no.
+    void plan_memory() {
+        const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
+        const auto longest = carve_.bounds_world.sizes().maxCoeff() / carve_.lattice.voxel_size;
+        batch_ = inputs_.size();
+        bricks_ = 1;
+        // A small job on a whole machine needs no prophecy.
+        if (!o_.dry_run && !o_.memory_limit && longest <= 1100) return;
+        const double leaves = predict_leaves();
+        release_memory();
+        const double resident = static_cast<double>(resident_memory_bytes());
+        double fields = 0;
+        for (const MaskView& m : used_masks_) fields += static_cast<double>(planned_field_bytes(m, field_options_));
+        const double hull = leaves * (o_.occupancy ? 200 : kHullPerLeaf);
+        const double carve_peak = resident + kCarveBase + fields + hull;
+        const double later_peak = std::max({resident + fields + leaves * kLevelSetPerLeaf, resident + kMeshBase + leaves * kMeshPerLeaf, resident + kExportBase + leaves * kExportPerLeaf});
+        const double peak = o_.last_stage == LastStage::Export ? std::max(carve_peak, later_peak) : carve_peak;
+        json& g = report_["grid"];
+        g["expected_leaves"] = std::llround(leaves);
+        g["expected_bytes"] = std::llround(leaves * 2215);
+        g["expected_field_bytes"] = std::llround(fields);
+        g["expected_peak_bytes"] = std::llround(peak);
+        g["memory_limit_bytes"] = std::llround(limit);
+        const auto gb = [](double bytes) { return std::to_string(bytes / 1e9).substr(0, 5) + " GB"; };
+        progress_.note("expected: " + std::to_string(std::llround(leaves)) + " leaves, " + gb(leaves * 2215) + " of volume, peak memory " + gb(peak));
+        if (o_.last_stage == LastStage::Export && later_peak > limit) {
+            const double fits = longest * std::sqrt(std::max(0.0, (limit - resident - kExportBase) / (later_peak - resident)));
+            throw UsageError("this resolution needs about " + gb(later_peak) + " of memory, the limit is " + gb(limit) + " (--memory-limit). Remedy: " +
+                             (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) + "`carve` alone goes further, in bricks");
+        }
+        if (carve_peak <= limit) return;
+        // Half of the room for fields, half for leaves.
+        const double room = std::max(limit - resident - kCarveBase, 2e6);
+        if (fields > 0.5 * room) batch_ = static_cast<size_t>(std::clamp(std::floor(0.5 * room / (fields / static_cast<double>(inputs_.size()))), 1.0, static_cast<double>(inputs_.size())));
+        const double held = std::min(fields, 0.5 * room);
+        if (hull > room - held) bricks_ = static_cast<int>(std::ceil(hull * 1.3 / (room - held)));
+        if (batch_ < inputs_.size()) progress_.note("distance fields of " + std::to_string(batch_) + " views at a time, to stay within " + gb(limit));
+    }
+
+    /// What the fields in memory, or those made batch after batch, say about the grid or one brick of it.
+    CarveResult carve_part(const std::optional<IndexBox>& brick) {
+        CarveOptions options = carve_;
+        options.brick = brick;
+        if (batch_ >= inputs_.size()) return carve(inputs_, options, progress_);
+        const FieldSource source = [&](size_t first, size_t last) {
+            Progress quiet;
+            return distance_fields({used_masks_.begin() + static_cast<long>(first), used_masks_.begin() + static_cast<long>(last)}, field_options_, quiet);
+        };
+        return carve_in_batches(inputs_, batch_, source, options, progress_);
+    }
+
+    fs::path brick_folder() const { return store_.path("hull", hull_key_, ".bricks"); }
+
+    /// Slabs across x, each a file that appears when it is done; those of an earlier run are kept.
+    CarveStatistics carve_bricks() {
+        const IndexBox whole = voxels_in_bounds(carve_.lattice, carve_.bounds_world, carve_.half_width_vox + 1);
+        const auto down = [](int x, int step) { return (x >= 0 ? x / step : -((step - 1 - x) / step)) * step; };
+        const int first = down(whole.min[0], 8), length = whole.max[0] - first;
+        const int thickness = std::max(64, down(length / bricks_, 64));
+        make_folder(brick_folder());
+        CarveStatistics sum;
+        double capped = 0, surface = 0;
+        std::vector<std::string> files;
+        for (int i = first, n = 0; i < whole.max[0]; i += thickness, ++n) {
+            progress_.check();
+            char name[32];
+            std::snprintf(name, sizeof name, "brick-%04d", n);
+            const fs::path file = brick_folder() / (std::string(name) + ".vdb"), note_file = brick_folder() / (std::string(name) + ".json");
+            auto note = stage_note(note_file, {"leaves", "active_voxels", "bytes", "node_tests", "voxel_lookups", "clipped_share"});
+            if (!note || (note->at("leaves") != 0 && !fs::exists(file))) {
+                IndexBox brick{{i, down(whole.min[1], 8), down(whole.min[2], 8)}, {i + thickness, down(whole.max[1] + 7, 8), down(whole.max[2] + 7, 8)}};
+                const CarveResult part = carve_part(brick);
+                const CarveStatistics& s = part.statistics;
+                if (s.leaves) write_vdb(file, {part.hull}, metadata());
+                note = json{{"leaves", s.leaves}, {"active_voxels", s.active_voxels}, {"bytes", s.bytes}, {"node_tests", s.node_tests}, {"voxel_lookups", s.voxel_lookups}, {"clipped_share", s.clipped_share}};
+                write_file(note_file, note->dump(1) + "\n");
+                progress_.note(std::string(name) + " of " + std::to_string((length + thickness - 1) / thickness) + ": " + std::to_string(s.leaves) + " leaves");
+            }
+            sum.leaves += note->at("leaves").get<size_t>();
+            sum.active_voxels += note->at("active_voxels").get<size_t>();
+            sum.bytes += note->at("bytes").get<size_t>();
+            sum.node_tests += note->at("node_tests").get<size_t>();
+            sum.voxel_lookups += note->at("voxel_lookups").get<size_t>();
+            capped += note->at("clipped_share").get<double>() * note->at("leaves").get<double>();
+            surface += note->at("leaves").get<double>();
+            if (note->at("leaves") != 0) files.push_back(file.filename().string());
+        }
+        if (files.empty()) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all at once and names the views");
+        sum.clipped_share = surface > 0 ? capped / surface : 0;
+        report_["grid"]["bricks"] = files;
+        return sum;
     }
 
     /// Size of one pixel on the object, world units: the median over views at the bounds' centre.
@@ -416,16 +552,34 @@ class Job {
         if (plan.scale > 1)
             progress_.note("the photographs have " + std::to_string(plan.px_per_voxel).substr(0, 4) + " pixels to a voxel: distance fields take a sample for " + std::to_string(plan.scale) + "x" +
                            std::to_string(plan.scale) + " of them (--field-scale 1: every pixel)");
+        plan_memory();
+    }
+
+    /// The raw hull as a result: one file, or a folder of bricks where it did not fit.
+    void place_hull() {
+        const fs::path whole = o_.output / (o_.occupancy ? "volume.vdb" : "hull.vdb"), bricks = o_.output / "hull_bricks";
+        fs::remove_all(bricks);
+        if (!report_["grid"].contains("bricks")) {
+            place_copy(hull_file(), whole);
+            return;
+        }
+        fs::remove(whole);
+        make_folder(bricks);
+        for (const json& name : report_["grid"]["bricks"]) place_copy(brick_folder() / name.get<std::string>(), bricks / name.get<std::string>());
+        progress_.warn("the hull did not fit the memory limit whole: it lies in " + bricks.string() + ", bricks that share one lattice and do not overlap");
     }
 
     bool carve_hull() {
-        if (const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"}); note && fs::exists(hull_file())) {
+        if (hull_is_there()) {
+            const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"});
             report_["grid"] = (*note)["grid"];
             backend_ = (*note)["backend"];
             for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
             return true;
         }
-        CarveResult result = carve(inputs_, carve_, progress_);
+        CarveResult result;
+        if (bricks_ > 1) result.statistics = carve_bricks();
+        else result = carve_part({});
         const CarveStatistics& s = result.statistics;
         backend_ = result.backend_used;
         json& g = report_["grid"];
@@ -441,7 +595,7 @@ class Job {
         occupancy_ = result.occupancy;
         fields_.clear();
         inputs_.clear();
-        write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
+        if (bricks_ == 1) write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
         const std::vector<std::string> all = progress_.warnings();
         json note{{"grid", g}, {"backend", backend_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before_grid_), all.end())}};
         write_file(hull_json(), note.dump(1) + "\n");
@@ -598,6 +752,7 @@ class Job {
 
     Reconstruction finish() {
         report_["version"] = kVersion;
+        report_["peak_rss_bytes"] = peak_bytes_;
         report_["backend"] = backend_;
         report_["warnings"] = progress_.warnings();
         report_["cameras"] = {{"file", views_.camera_file.string()}, {"format", views_.format}, {"up", views_.up}, {"units", views_.units}};
@@ -622,6 +777,9 @@ class Job {
     std::vector<MaskView> used_masks_;  ///< of inputs_
     DistanceOptions field_options_;
     size_t warnings_before_grid_ = 0;
+    size_t peak_bytes_ = 0;
+    size_t batch_ = 0;  ///< views whose fields are in memory together
+    int bricks_ = 1;
     std::vector<CarveInput> inputs_;
     CarveOptions carve_;
     openvdb::FloatGrid::Ptr hull_, surface_;

@@ -148,16 +148,16 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
         const io::Component blob = io::largest_component(missed);
         out.largest_missed_blob_px = blob.pixels;
         out.missed_blob = blob.box;
-        // The skeleton is looked at only around what is missed.
-        for (const auto& [x, y] : io::skeleton_near(mask.coverage, missed)) {
-            bool near = ignored(x, y);
-            for (int j = -1; j <= 1; ++j)
-                for (int i = -1; i <= 1; ++i) {
-                    const int u = x + i, v = y + j;
-                    near = near || (u >= 0 && v >= 0 && u < width && v < height && hit.at(u, v) >= 128);
-                }
-            if (!near) out.thin_lost.push_back({x, y});
-        }
+        // A skeleton counts as lost where nothing is hit beside it; only there it is made, which costs most.
+        for (int y = 0; y < height; ++y)
+            for (int x = 0; x < width; ++x) {
+                if (!missed.at(x, y)) continue;
+                bool near = false;
+                for (int v = std::max(0, y - 1); v <= std::min(height - 1, y + 1); ++v)
+                    for (int u = std::max(0, x - 1); u <= std::min(width - 1, x + 1); ++u) near = near || hit.at(u, v) >= 128 || ignored(u, v);
+                if (near) missed.at(x, y) = 0;
+            }
+        out.thin_lost = io::skeleton_near(mask.coverage, missed);
         out.thin_length_lost_px = out.thin_lost.size();
     }
     if (both == 0) {  // nothing in common: as far apart as the picture is wide, unless both are empty

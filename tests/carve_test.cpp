@@ -8,6 +8,7 @@
 
 #include "support/dense_oracle.h"
 #include "support/scenes.h"
+#include "vector_loops.h"
 
 namespace vdbcarve::test {
 namespace {
@@ -184,6 +185,139 @@ TEST(Carve, BricksMergeIntoTheWhole) {
                 bricks.push_back(carve(s.inputs, o, quiet).hull);
             }
     expect_same(*whole, *merge_bricks(bricks));
+}
+
+// Fields made a few views at a time: the same hull, whatever the options.
+TEST_P(Hierarchical, BatchesGiveTheSameBits) {
+    const Case& c = GetParam();
+    const Shoot s = c.make();
+    CarveOptions o = options_for(s, c.resolution);
+    c.change(o);
+    Progress quiet;
+    const FieldSource source = [&](size_t first, size_t last) {
+        std::vector<MaskView> masks;
+        for (size_t i = first; i < last; ++i) masks.push_back(view_of(s.scene.masks[i]));
+        return distance_fields(masks, {}, quiet);
+    };
+    for (const bool occupancy : {false, true}) {
+        o.occupancy = occupancy;
+        o.allow_empty = true;
+        const CarveResult whole = carve(s.inputs, o, quiet);
+        for (const size_t batch : {size_t{1}, size_t{4}, s.inputs.size()}) {
+            const CarveResult parts = carve_in_batches(s.inputs, batch, source, o, quiet);
+            if (occupancy) {
+                EXPECT_TRUE(whole.occupancy->tree().hasSameTopology(parts.occupancy->tree()));
+            } else {
+                EXPECT_TRUE(whole.hull->tree().hasSameTopology(parts.hull->tree()));
+                size_t differing = 0;
+                for (auto it = whole.hull->cbeginValueAll(); it; ++it) differing += *it != parts.hull->tree().getValue(it.getCoord());
+                EXPECT_EQ(differing, 0u) << "batches of " << batch;
+            }
+        }
+    }
+}
+
+// Photographs finer or coarser than the voxels: normals of a ball of 35 voxels radius within a degree.
+TEST(Carve, FieldScaleKeepsNormals) {
+    openvdb::initialize();
+    struct Shot {
+        double px_per_voxel;
+        int scale;
+    };
+    for (const Shot& shot : {Shot{0.5, 1}, Shot{1, 1}, Shot{2, 1}, Shot{4, 1}, Shot{4, 2}, Shot{8, 0}}) {
+        SyntheticSpec spec;
+        Solid solid;
+        solid.size = Vec3d::Constant(0.5);
+        spec.solids = {solid};
+        spec.rig.kind = Rig::Kind::Dome;
+        spec.rig.views = 6;
+        spec.rig.distance = 6;
+        spec.rig.fov_deg = 12;
+        const double voxel = 0.5 / 35;
+        // Pixels at the ball's middle: f / distance * voxel.
+        const int side = static_cast<int>(std::lround(2 * std::tan(6 * 3.14159265358979 / 180) * shot.px_per_voxel * 6 / voxel));
+        spec.rig.width_px = spec.rig.height_px = side;
+        spec.photos = false;
+        Progress quiet;
+        const SyntheticScene scene = synthesize(spec, quiet);
+        CarveOptions o;
+        o.lattice.voxel_size = voxel;
+        o.bounds_world = Box3d(Vec3d::Constant(-0.7), Vec3d::Constant(0.7));
+        const FieldPlan plan = plan_fields(scene.views.cameras(), o, shot.scale);
+        EXPECT_NEAR(plan.px_per_voxel, shot.px_per_voxel, 0.05 * shot.px_per_voxel);
+        if (shot.scale == 0) { EXPECT_GT(plan.scale, 1); }
+        DistanceOptions d;
+        d.scale = plan.scale;
+        d.reach_samples = plan.reach_samples;
+        std::vector<MaskView> masks;
+        for (const Mask& m : scene.masks) masks.push_back(view_of(m));
+        const auto fields = distance_fields(masks, d, quiet);
+        std::vector<CarveInput> inputs;
+        for (size_t i = 0; i < fields.size(); ++i) inputs.push_back({std::to_string(i), scene.views.cameras()[i], &fields[i]});
+        const auto hull = carve(inputs, o, quiet).hull;
+        // The truth is the hull of these cameras: the cone that is farthest out decides.
+        double sum2 = 0;
+        size_t n = 0;
+        auto value = hull->getConstAccessor();
+        for (auto it = hull->cbeginValueOn(); it; ++it) {
+            if (std::fabs(*it) > 0.5 * voxel) continue;
+            const openvdb::Coord c = it.getCoord();
+            const Vec3d x = o.lattice.world_from_index(Vec3d(c.x(), c.y(), c.z()));
+            std::vector<std::pair<double, Vec3d>> cones;
+            for (const CarveInput& in : inputs) {
+                const Vec3d eye = in.camera.centre_world(), to_x = x - eye, axis = (-eye).normalized();
+                const double half_angle = std::asin(0.5 / eye.norm()), angle = std::atan2(to_x.cross(axis).norm(), to_x.dot(axis));
+                // Outward normal of the cone: across its generator, away from the axis.
+                const Vec3d radial = (to_x - to_x.dot(axis) * axis).normalized();
+                cones.emplace_back(to_x.norm() * std::sin(angle - half_angle), std::cos(half_angle) * radial - std::sin(half_angle) * axis);
+            }
+            std::partial_sort(cones.begin(), cones.begin() + 2, cones.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+            // At a ridge between two cones there are two normals; on the bounds' caps neither.
+            if (cones[0].first - cones[1].first < 1.5 * voxel || std::fabs(cones[0].first - *it) > 0.25 * voxel) continue;
+            Vec3d g;
+            for (int a = 0; a < 3; ++a) {
+                openvdb::Coord up = c, down = c;
+                ++up[a];
+                --down[a];
+                g[a] = value.getValue(up) - value.getValue(down);
+            }
+            const double error = std::acos(std::clamp(g.normalized().dot(cones[0].second), -1.0, 1.0)) * 180 / 3.14159265358979;
+            sum2 += error * error;
+            ++n;
+        }
+        ASSERT_GT(n, 200u);
+        const double rms_deg = std::sqrt(sum2 / static_cast<double>(n));
+        std::printf("%g px a voxel, samples of %d px: normals off by %.3f degrees rms\n", shot.px_per_voxel, plan.scale, rms_deg);
+        EXPECT_LT(rms_deg, 1.0) << shot.px_per_voxel << " px a voxel, samples of " << plan.scale;
+    }
+}
+
+// Every instruction set raises a leaf to the same bits as the plain kernel.
+TEST(Carve, SameBitsOnEveryInstructionSet) {
+    const Shoot s = shoot(small_spec("cup", 6));
+    const CarveOptions o = options_for(s, 48);
+    const auto band = static_cast<float>(3 * o.lattice.voxel_size), radius = static_cast<float>(std::sqrt(3.0) * 1.5 * o.lattice.voxel_size * 1.000001);
+    size_t evaluated = 0;
+    for (const CarveInput& input : s.inputs) {
+        const kernel::CarveView view = make_carve_view(input, o);
+        for (int leaf = 0; leaf < 216; ++leaf) {
+            const int origin[3] = {leaf / 36 * 8 - 24, leaf / 6 % 6 * 8 - 24, leaf % 6 * 8 - 24};
+            const auto to_camera = kernel::leaf_to_camera(view, origin[0], origin[1], origin[2]);
+            for (const VectorLoops* loops : all_vector_loops()) {
+                std::vector<float> values(kLeafVoxels, -band);
+                const CellAnswers a = loops->raise_leaf(view, origin, 0xff, radius, band, values.data());
+                for (int at = 0; at < kLeafVoxels; ++at) {
+                    const int in_cell = cell_order(at);
+                    const kernel::Vec3 p = kernel::voxel_in_camera(to_camera, static_cast<float>(at >> 6), static_cast<float>(at >> 3 & 7), static_cast<float>(at & 7));
+                    const float plain = kernel::silhouette_value(view, kernel::project(view, p), p.z, band);
+                    if (a.out >> (in_cell >> 6) & 1) { ASSERT_EQ(plain, band); }
+                    else { ASSERT_EQ(values[static_cast<size_t>(in_cell)], plain) << loops->name; }  // cells not evaluated keep -band
+                }
+                evaluated += static_cast<size_t>(__builtin_popcount(a.mixed));
+            }
+        }
+    }
+    EXPECT_GT(evaluated, 1000u);
 }
 
 TEST(Carve, OccupancyBricksShareTheWholeOut) {

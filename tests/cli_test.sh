@@ -56,6 +56,27 @@ expect 0 'closed manifold' reconstruct scene --cameras ../"$(basename "$work")"/
 expect 0 '"event":"stage"' --json - reconstruct scene -o out4 --resolution 24
 check 'every line of --json - is a JSON object' test -z "$(grep -v '^{.*}$' stdout)"
 check 'the last line is the report' grep -q '"mesh"' <(tail -n 1 stdout)
+# Whatever vectors the machine has.
+for set in generic avx2 avx512; do
+  if VDBCARVE_SIMD=$set "$program" --quiet reconstruct scene -o "out_$set" --resolution 40 2>stderr; then
+    check "$set gives the same mesh" cmp -s out/mesh.ply "out_$set/mesh.ply"
+    check "$set gives the same volume" cmp -s out/volume.vdb "out_$set/volume.vdb"
+  else
+    check "$set is refused by name where it is not there" grep -q "this machine has" stderr
+  fi
+done
+expect 0 'elevations' check scene
+expect 0 '"median_iou"' check scene --json -
+expect 0 'F-score' evaluate out --truth scene/truth.ply --samples 2000
+expect 0 '"chamfer"' --json - evaluate out --truth scene/truth.ply --samples 2000 --align cameras --cameras out/cameras.json --truth-cameras scene
+expect 3 'no such|cannot' evaluate out --truth nowhere.ply
+expect 2 'wants --cameras' evaluate out --truth scene/truth.ply --align cameras
+expect 0 'dense method' bench --grid 64x32x64 --views 4 --runs 1
+expect 0 '6 views' synth cup -o hard --views 6 --width 96 --height 72 --motion turntable --table --gloss 0.5 --jpeg 90 --exif --noise 2 --blur 0.5 --mask-noise 0.5 --mask-blobs 1 --sittings 2
+check 'damaged masks have their exact ones beside them' test -s hard/masks_true/0005.png
+expect 0 'peak memory' reconstruct scene -o planned --resolution 64 --dry-run
+expect 2 'memory-limit' reconstruct scene -o planned --resolution 64 --memory-limit 1M
+expect 2 'must be > 0|finite' reconstruct scene -o planned --memory-limit lots
 expect 0 'surface' info out
 expect 0 '"grids"' info out/volume.vdb --json -
 expect 0 'genus' info out/mesh.obj

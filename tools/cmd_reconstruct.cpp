@@ -18,6 +18,17 @@ struct Raw {
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
 
+/// "8G", "500M", "64K" or plain bytes; powers of 1024.
+size_t bytes_of(const std::string& option, const std::string& text) {
+    std::string digits = text;
+    if (!digits.empty() && (digits.back() == 'B' || digits.back() == 'b')) digits.pop_back();
+    const size_t unit = digits.empty() ? std::string::npos : std::string("KMGT").find(static_cast<char>(std::toupper(digits.back())));
+    if (unit != std::string::npos) digits.pop_back();
+    const double bytes = numbers(option, digits, 1)[0] * (unit == std::string::npos ? 1.0 : std::pow(1024.0, static_cast<double>(unit) + 1));
+    if (!(bytes >= 1)) throw UsageError(option + " " + text + ": must be > 0");
+    return static_cast<size_t>(bytes);
+}
+
 void read_raw(Raw& raw) {
     ReconstructOptions& o = raw.options;
     if (!raw.bounds.empty()) {
@@ -129,6 +140,8 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
         static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
         app->add_option("--backend", o.backend, "auto, cpu or cuda")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case))->group("Carving");
+        app->add_option_function<std::string>("--memory-limit", [raw](const std::string& text) { raw->options.memory_limit = bytes_of("--memory-limit", text); },
+                                              "resident memory that may be used, like 8G or 500M (default: nine tenths of the machine's)");
         app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
     }
     if (last == LastStage::Export) {

@@ -109,6 +109,9 @@ int main(int argc, char** argv) {
                                        cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_bench(program)};
     try {
         program.parse(argc, argv);
+    } catch (const Error& e) {  // a value that an option's own reader refused
+        spdlog::error("{}", e.what());
+        return static_cast<int>(e.code());
     } catch (const CLI::ParseError& e) {
         // CLI11 would only say that a command is missing where an unknown one was given.
         if (e.get_name() == "RequiredError" && argc > 1 && argv[1][0] != '-' && program.get_subcommands().empty()) {

@@ -51,6 +51,9 @@ struct DistanceField {
     size_t bytes() const { return silhouette.bytes() + ignored.bytes(); }
 };
 
+/// Bytes that the field of a mask will take, without making it.
+size_t planned_field_bytes(const MaskView& mask, const DistanceOptions& options);
+
 /// Exact Euclidean distance to the contour of each mask within the reach (kernel/distance.h says how), over the window
 /// that holds the object, views in parallel. The sign at a pixel centre equals "mask < 1/2".
 /// Time: about window area x reach. Throws UsageError for a mask smaller than 2 x 2 samples, a scale below 1 and

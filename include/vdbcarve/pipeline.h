@@ -43,6 +43,10 @@ struct ReconstructOptions {
     int half_width_vox = 3;
     double adaptivity = 0;
 
+    /// Resident memory that may be used, bytes; 0: nine tenths of the machine's. Fields are made in batches and the hull
+    /// is carved in bricks where it would not do otherwise.
+    size_t memory_limit = 0;
+
     std::filesystem::path output;
     std::vector<std::string> mesh_formats{"ply"};
     Backend backend = Backend::Auto;
