@@ -217,14 +217,16 @@ TEST_P(Hierarchical, BatchesGiveTheSameBits) {
     }
 }
 
-// Photographs finer or coarser than the voxels: normals of a ball of 35 voxels radius within a degree.
+// Photographs finer or coarser than the voxels. A contour is known to about 0.05 of a sample, which turns normals (central
+// differences over two voxels) by 2 degrees at one sample a voxel and by less as samples grow finer; the automatic scale
+// keeps a ball of 35 voxels radius within a degree.
 TEST(Carve, FieldScaleKeepsNormals) {
     openvdb::initialize();
     struct Shot {
         double px_per_voxel;
         int scale;
     };
-    for (const Shot& shot : {Shot{0.5, 1}, Shot{1, 1}, Shot{2, 1}, Shot{4, 1}, Shot{4, 2}, Shot{8, 0}}) {
+    for (const Shot& shot : {Shot{0.5, 1}, Shot{1, 1}, Shot{2, 1}, Shot{4, 1}, Shot{4, 2}, Shot{8, 0}, Shot{16, 0}}) {
         SyntheticSpec spec;
         Solid solid;
         solid.size = Vec3d::Constant(0.5);
@@ -288,7 +290,7 @@ TEST(Carve, FieldScaleKeepsNormals) {
         ASSERT_GT(n, 200u);
         const double rms_deg = std::sqrt(sum2 / static_cast<double>(n));
         std::printf("%g px a voxel, samples of %d px: normals off by %.3f degrees rms\n", shot.px_per_voxel, plan.scale, rms_deg);
-        EXPECT_LT(rms_deg, 1.0) << shot.px_per_voxel << " px a voxel, samples of " << plan.scale;
+        EXPECT_LT(rms_deg, shot.scale == 0 ? 1.0 : 2.3 * plan.scale / shot.px_per_voxel) << shot.px_per_voxel << " px a voxel, samples of " << plan.scale;
     }
 }
 

@@ -369,7 +369,7 @@ TEST(Synthetic, SpecsAreReadAndMistakesNamed) {
         write_text(folder / "bad.json", text);
         EXPECT_NE(error_of(ExitCode::Input, [&] { read_spec(folder / "bad.json"); }).find(part), std::string::npos) << text;
     }
-    for (const char* name : {"cup.json", "ellipsoids_dome.json"}) read_spec(std::string(VDBCARVE_SOURCE_DIR) + "/data/" + name);
+    for (const char* name : {"cup.json", "ellipsoids_dome.json", "turntable_cup.json"}) read_spec(std::string(VDBCARVE_SOURCE_DIR) + "/data/" + name);
 }
 
 }  // namespace

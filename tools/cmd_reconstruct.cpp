@@ -136,7 +136,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option_function<std::string>("--field-scale", [raw](const std::string& text) {
             raw->options.field_scale = text == "auto" ? 0 : static_cast<int>(numbers("--field-scale", text, 1)[0]);
             if (text != "auto" && raw->options.field_scale < 1) throw UsageError("--field-scale " + text + ": must be auto or a whole number >= 1");
-        }, "pixels a side of a distance field's sample: auto (at least 2 samples to a voxel) or 1, 2, 4 …")->default_str("auto")->group("Carving");
+        }, "pixels a side of a distance field's sample: auto (at least 2.5 samples to a voxel) or 1, 2, 4 …")->default_str("auto")->group("Carving");
         app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
         static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
         app->add_option("--backend", o.backend, "auto, cpu or cuda")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case))->group("Carving");
