@@ -30,7 +30,7 @@ print(f"{100 * (got / truth - 1):.1f}")
 PY
 }
 
-size=(--width 1024 --height 768)
+size=(--width 640 --height 480)
 echo "| object, level ring (elevation 0) | 4 | 8 | 12 | 16 | 24 | 36 | 72 | 18 + 18 at 35 degrees |"
 echo "|---|---|---|---|---|---|---|---|---|"
 for object in ellipsoid.json cup "${meshes[@]}"; do
