@@ -351,7 +351,7 @@ std::string bench_svg(const BenchResult& r) {
     }
     y_low = std::pow(10, std::floor(std::log10(y_low)));
     y_high = std::pow(10, std::ceil(std::log10(y_high)));
-    constexpr double kWidth = 720, kHeight = 440, kLeft = 70, kRight = 20, kTop = 40, kBottom = 60;
+    constexpr double kWidth = 720, kHeight = 440, kLeft = 80, kRight = 80, kTop = 40, kBottom = 60;
     const auto px = [&](double x) { return kLeft + (x_high > x_low ? std::log(x / x_low) / std::log(x_high / x_low) : 0.5) * (kWidth - kLeft - kRight); };
     const auto py = [&](double y) { return kHeight - kBottom - std::log(y / y_low) / std::log(y_high / y_low) * (kHeight - kTop - kBottom); };
     std::ostringstream s;
@@ -377,7 +377,7 @@ std::string bench_svg(const BenchResult& r) {
         for (const Point& p : lines[l].second) s << px(p.x) << "," << py(p.y) << " ";
         s << "\"/>\n";
         for (const Point& p : lines[l].second) s << "<circle cx=\"" << px(p.x) << "\" cy=\"" << py(p.y) << "\" r=\"3\" fill=\"" << colours[l] << "\"/>\n";
-        s << "<text x=\"" << kLeft + 10 + 165 * static_cast<double>(l) << "\" y=\"" << kHeight - 12 << "\" fill=\"" << colours[l] << "\">" << lines[l].first << "</text>\n";
+        s << "<text x=\"" << kLeft - 20 + 165 * static_cast<double>(l) << "\" y=\"" << kHeight - 12 << "\" fill=\"" << colours[l] << "\">" << lines[l].first << "</text>\n";
     }
     s << "</svg>\n";
     return s.str();

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # How much too large the hull is, by number and place of the views: the tables of BENCHMARKS.md.
-#   tools/study_views.sh PROGRAM WORK_FOLDER [MESH…]     meshes are closed; each becomes a row like the built-in objects
+#   tools/study_views.sh PROGRAM WORK_FOLDER [MESH…]     meshes: closed, z up; each becomes a row like the built-in objects
 set -euo pipefail
 program=$(realpath "$1") work=$2
 shift 2
