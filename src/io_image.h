@@ -40,7 +40,9 @@ struct Component {
 };
 Component largest_component(ImageView<uint8_t> image);
 
-/// Pixels of the skeleton (Zhang and Suen 1984) of the object (coverage >= 1/2) that are marked, one pixel wide lines.
+/// Pixels of the skeleton (Zhang and Suen 1984) of the object (coverage >= 1/2) that are marked and where the object is
+/// thin, at most kThinHalfWidth_px to its border: one pixel wide lines.
+inline constexpr int kThinHalfWidth_px = 10;
 std::vector<std::array<int, 2>> skeleton_near(ImageView<uint8_t> coverage, ImageView<uint8_t> marked);
 
 /// Smaller copy by area averaging.

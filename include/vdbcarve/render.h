@@ -37,7 +37,8 @@ struct SilhouetteAgreement {
     double contour_p99_px = 0;
     size_t missed_px = 0, extra_px = 0;  ///< mask not hit; hit outside the mask
     size_t largest_missed_blob_px = 0;   ///< pixels of the largest connected piece of what is missed
-    /// Length, in pixels, of the mask's skeleton that has no hit within 1.5 px: thin parts that are gone while the area hardly tells.
+    /// Length, in pixels, of the mask's skeleton where the mask is at most 20 px wide and nothing is hit within 1.5 px: thin
+    /// parts that are gone while the area hardly tells.
     size_t thin_length_lost_px = 0;
     std::array<int, 4> missed_blob{};                ///< x0, y0, x1, y1 of the largest missed piece
     std::vector<std::array<int, 2>> thin_lost;       ///< the lost pixels of the skeleton
