@@ -204,6 +204,8 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
         std::vector<MaskView> masks;
         std::vector<Image8> binary;
         for (const Mask& m : shoot.masks) {
+            if (m.coverage.width != shoot.masks[0].coverage.width || m.coverage.height != shoot.masks[0].coverage.height)
+                throw UsageError("bench: the masks of " + out.scene + " have several sizes; the dense method wants one. Remedy: another scene");
             masks.push_back(view_of(m));
             binary.emplace_back(m.coverage.width, m.coverage.height);
             for (size_t p = 0; p < m.coverage.data.size(); ++p) binary.back().data[p] = m.coverage.data[p] >= 128;

@@ -149,7 +149,7 @@ Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<M
     DistanceOptions coarse;
     coarse.silhouette_offset_px = std::max(0.0, silhouette_offset_px);
     coarse.conservative = true;
-    coarse.reach_samples = 100;
+    coarse.reach_samples = 200;  // the growing box's coarse voxels are up to that wide
     coarse.scale = std::max(1, (longest + kPixels - 1) / kPixels);
     const std::vector<DistanceField> fields = distance_fields(masks, coarse, progress);
     std::vector<CarveInput> inputs = views;

@@ -650,6 +650,7 @@ CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const Field
         capped += f.capped;
         negative += f.negative;
     }
+    result.statistics.inside_voxels = negative;
     result.statistics.clipped_share = surface ? static_cast<double>(capped) / static_cast<double>(surface) : 0;
 
     if (options.occupancy) {

@@ -124,8 +124,7 @@ SampledField window_field(ImageView<uint8_t> m, int x0, int y0, int x1, int y1, 
     out.cut[2] = x1 < m.width;
     out.cut[3] = y1 < m.height;
     out.samples.resize(static_cast<size_t>(out.width) * static_cast<size_t>(out.height));
-    thread_local std::vector<int32_t> scratch;
-    scratch.resize(std::max(scratch.size(), window_scratch(out.width, out.height)));
+    std::vector<int32_t> scratch(window_scratch(out.width, out.height));
     vector_loops().window_distance({m.data + static_cast<size_t>(y0) * static_cast<size_t>(m.width) + x0, m.width, out.width, out.height,
                                     static_cast<int>((reach + std::fabs(offset)) * kernel::kSubpixel), static_cast<int>(std::lround(offset * kernel::kSubpixel)),
                                     static_cast<int>(reach * kernel::kSubpixel), out.samples.data(), scratch.data()});
@@ -216,6 +215,7 @@ size_t planned_field_bytes(const MaskView& mask, const DistanceOptions& options)
 }
 
 ImageF signed_distance(ImageView<uint8_t> m, int reach_px) {
+    if (reach_px < 4 || reach_px > kernel::kMaxReach_px) throw UsageError("distance: a reach of " + std::to_string(reach_px) + " px, must be 4.." + std::to_string(kernel::kMaxReach_px));
     if (m.width < 2 || m.height < 2)
         throw UsageError("a mask of " + std::to_string(m.width) + " x " + std::to_string(m.height) + " pixels has no contour; 2 x 2 is the least");
     const SampledField field = window_field(m, 0, 0, m.width, m.height, reach_px, 0);

@@ -228,7 +228,8 @@ Evaluation evaluate(const Mesh& mesh, const Mesh& truth, const EvaluateOptions& 
         const auto common = openvdb::tools::csgIntersectionCopy(*ga, *gb), either = openvdb::tools::csgUnionCopy(*ga, *gb);
         const double in_common = common->empty() ? 0 : openvdb::tools::levelSetVolume(*common);
         out.iou = in_common / openvdb::tools::levelSetVolume(*either);
-        out.truth_lost = std::max(0.0, 1 - in_common / openvdb::tools::levelSetVolume(*gb));
+        const double whole = openvdb::tools::levelSetVolume(*gb);
+        out.truth_lost = whole > 0 ? std::max(0.0, 1 - in_common / whole) : NAN;
     }
     progress.step();
     return out;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/pipeline.h"
 
+#include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -148,6 +149,8 @@ class Job {
         need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
         need(o_.max_misses >= 0 && o_.max_misses <= 15, "--max-misses is " + std::to_string(o_.max_misses) + ", must be 0..15");
         need(std::isfinite(o_.distance.silhouette_offset_px), "--silhouette-offset is not finite");
+        need(o_.field_scale >= 0, "--field-scale is " + std::to_string(o_.field_scale) + ", must be >= 1, or auto");
+        need(o_.half_width_vox >= 2 && o_.half_width_vox <= 100, "the half-width is " + std::to_string(o_.half_width_vox) + " voxels, must be 2..100");
         need(o_.min_seen >= 0 && o_.min_seen <= 1, "--min-seen is " + std::to_string(o_.min_seen) + ", must be 0..1");
         need(o_.adaptivity >= 0 && o_.adaptivity <= 1, "--adaptivity is " + std::to_string(o_.adaptivity) + ", must be 0..1");
         if (o_.grid)
@@ -304,7 +307,7 @@ class Job {
 
     void plan_key() {
         Sha256 h;
-        h.add("carve").add_value(kCodeVersion).add(mask_key_).add_value(o_.distance.silhouette_offset_px);
+        h.add("carve").add_value(kCodeVersion).add(mask_key_).add(views_.units).add(views_.up).add_value(o_.distance.silhouette_offset_px);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         h.add_value(o_.resolution).add_value(o_.voxel_size).add_value(o_.max_misses).add_value(o_.min_seen);
         h.add_value(o_.outside_is_background).add_value(o_.occupancy).add_value(o_.half_width_vox).add_value(o_.field_scale);
@@ -322,7 +325,11 @@ class Job {
     bool hull_is_there() const {
         const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"});
         if (!note) return false;
-        return fs::exists(hull_file()) || (o_.last_stage == LastStage::Carve && (*note)["grid"].contains("bricks") && fs::exists(brick_folder()));
+        if (fs::exists(hull_file())) return true;
+        if (o_.last_stage != LastStage::Carve || !(*note)["grid"].contains("bricks")) return false;
+        for (const json& name : (*note)["grid"]["bricks"])
+            if (!fs::exists(brick_folder() / name.get<std::string>())) return false;
+        return true;
     }
     fs::path hull_json() const { return store_.path("hull", hull_key_, ".json"); }
 
@@ -367,13 +374,13 @@ class Job {
         const double fine = std::min(target, 320.0), coarse = 0.5 * fine;
         const double a = leaves_at(coarse), b = leaves_at(fine);
         const double square = (b / fine - a / coarse) / (fine - coarse), linear = a / coarse - square * coarse;
-        return std::max(1.0, square * target * target + linear * target);
+        return std::max({1.0, b * target / fine, square * target * target + linear * target});
     }
 
     // Bytes a leaf of the surface, measured on the dragon at 512 to 2048 (BENCHMARKS.md): values, masks and nodes; the
     // level set's second set of values and its bookkeeping; the mesh with what OpenVDB needs to extract it (47 vertices a
     // leaf); two volumes, one mesh and compressed buffers while files are written.
-    static constexpr double kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300;
+    static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300;
     static constexpr double kCarveBase = 20e6, kMeshBase = 40e6, kExportBase = 70e6;
 
     /// Peak memory of the run from here, by stage, into the report; then batches, bricks, or a clear no.
@@ -388,25 +395,32 @@ class Job {
         release_memory();
         const double resident = static_cast<double>(resident_memory_bytes());
         double fields = 0;
-        for (const MaskView& m : used_masks_) fields += static_cast<double>(planned_field_bytes(m, field_options_));
+        double largest = 0;
+        for (const MaskView& m : used_masks_) {
+            const auto bytes = static_cast<double>(planned_field_bytes(m, field_options_));
+            fields += bytes;
+            largest = std::max(largest, bytes);
+        }
+        // While a field is made it takes 16 bytes a sample besides its two, on every thread.
+        fields += 8 * largest * static_cast<double>(tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism));
         const double hull = leaves * (o_.occupancy ? 200 : kHullPerLeaf);
         const double carve_peak = resident + kCarveBase + fields + hull;
-        const double later_peak = std::max({resident + fields + leaves * kLevelSetPerLeaf, resident + kMeshBase + leaves * kMeshPerLeaf, resident + kExportBase + leaves * kExportPerLeaf});
+        const double later_peak = std::max({resident + leaves * kLevelSetPerLeaf, resident + kMeshBase + leaves * kMeshPerLeaf, resident + kExportBase + leaves * kExportPerLeaf});
         const double peak = o_.last_stage == LastStage::Export ? std::max(carve_peak, later_peak) : carve_peak;
         json& g = report_["grid"];
         g["expected_leaves"] = std::llround(leaves);
-        g["expected_bytes"] = std::llround(leaves * 2215);
+        g["expected_bytes"] = std::llround(leaves * kTreePerLeaf);
         g["expected_field_bytes"] = std::llround(fields);
         g["expected_peak_bytes"] = std::llround(peak);
         g["memory_limit_bytes"] = std::llround(limit);
         const auto gb = [](double bytes) { return std::to_string(bytes / 1e9).substr(0, 5) + " GB"; };
-        progress_.note("expected: " + std::to_string(std::llround(leaves)) + " leaves, " + gb(leaves * 2215) + " of volume, peak memory " + gb(peak));
+        progress_.note("expected: " + std::to_string(std::llround(leaves)) + " leaves, " + gb(leaves * kTreePerLeaf) + " of volume, peak memory " + gb(peak));
         if (o_.last_stage == LastStage::Export && later_peak > limit) {
             const double fits = longest * std::sqrt(std::max(0.0, (limit - resident - kExportBase) / (later_peak - resident)));
             throw UsageError("this resolution needs about " + gb(later_peak) + " of memory, the limit is " + gb(limit) + " (--memory-limit). Remedy: " +
                              (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) + "`carve` alone goes further, in bricks");
         }
-        if (carve_peak <= limit) return;
+        if (carve_peak <= limit || o_.occupancy) return;  // the binary model is small: a bit a voxel
         // Half of the room for fields, half for leaves.
         const double room = std::max(limit - resident - kCarveBase, 2e6);
         if (fields > 0.5 * room) batch_ = static_cast<size_t>(std::clamp(std::floor(0.5 * room / (fields / static_cast<double>(inputs_.size()))), 1.0, static_cast<double>(inputs_.size())));
@@ -441,19 +455,21 @@ class Job {
         std::vector<std::string> files;
         for (int i = first, n = 0; i < whole.max[0]; i += thickness, ++n) {
             progress_.check();
-            char name[32];
-            std::snprintf(name, sizeof name, "brick-%04d", n);
+            // Place and thickness are in the name: a run under another limit cuts otherwise and must not mix with this one.
+            char name[64];
+            std::snprintf(name, sizeof name, "brick-%04d-x%d-%d", n, i, thickness);
             const fs::path file = brick_folder() / (std::string(name) + ".vdb"), note_file = brick_folder() / (std::string(name) + ".json");
-            auto note = stage_note(note_file, {"leaves", "active_voxels", "bytes", "node_tests", "voxel_lookups", "clipped_share"});
+            auto note = stage_note(note_file, {"leaves", "active_voxels", "bytes", "node_tests", "voxel_lookups", "clipped_share", "inside_voxels"});
             if (!note || (note->at("leaves") != 0 && !fs::exists(file))) {
                 IndexBox brick{{i, down(whole.min[1], 8), down(whole.min[2], 8)}, {i + thickness, down(whole.max[1] + 7, 8), down(whole.max[2] + 7, 8)}};
                 const CarveResult part = carve_part(brick);
                 const CarveStatistics& s = part.statistics;
                 if (s.leaves) write_vdb(file, {part.hull}, metadata());
-                note = json{{"leaves", s.leaves}, {"active_voxels", s.active_voxels}, {"bytes", s.bytes}, {"node_tests", s.node_tests}, {"voxel_lookups", s.voxel_lookups}, {"clipped_share", s.clipped_share}};
+                note = json{{"leaves", s.leaves}, {"active_voxels", s.active_voxels}, {"bytes", s.bytes}, {"node_tests", s.node_tests}, {"voxel_lookups", s.voxel_lookups}, {"clipped_share", s.clipped_share}, {"inside_voxels", s.inside_voxels}};
                 write_file(note_file, note->dump(1) + "\n");
                 progress_.note(std::string(name) + " of " + std::to_string((length + thickness - 1) / thickness) + ": " + std::to_string(s.leaves) + " leaves");
             }
+            sum.inside_voxels += note->at("inside_voxels").get<size_t>();
             sum.leaves += note->at("leaves").get<size_t>();
             sum.active_voxels += note->at("active_voxels").get<size_t>();
             sum.bytes += note->at("bytes").get<size_t>();
@@ -463,7 +479,7 @@ class Job {
             surface += note->at("leaves").get<double>();
             if (note->at("leaves") != 0) files.push_back(file.filename().string());
         }
-        if (files.empty()) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all at once and names the views");
+        if (sum.inside_voxels == 0) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all at once and names the views");
         sum.clipped_share = surface > 0 ? capped / surface : 0;
         report_["grid"]["bricks"] = files;
         return sum;

@@ -689,6 +689,11 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     need(std::abs(rig.speed_variation) <= 0.9, "the speed's variation is at most 0.9");
     need(std::abs(rig.breathing) <= 0.5, "focus breathing is at most 0.5");
     need(spec.look.jpeg_quality >= 0 && spec.look.jpeg_quality <= 100, "the JPEG quality must be 1..100 (0: PNG)");
+    const MaskDamage& d = spec.damage;
+    need(d.noise_px >= 0 && d.noise_px <= 50 && std::abs(d.dilate_px) <= 50 && d.correlation_px >= 0, "masks' noise and dilation are 0..50 px, its correlation is >= 0");
+    need(d.holes >= 0 && d.blobs >= 0 && d.radius_px >= 1 && d.radius_px <= 500 && d.share >= 0 && d.share <= 1, "masks' holes and blobs are >= 0, of radius 1..500 px, in a share 0..1 of the views");
+    need(spec.look.blur_px >= 0 && spec.look.blur_px <= 50 && spec.look.noise >= 0 && spec.look.gloss >= 0, "blur is 0..50 px, noise and gloss are >= 0");
+    need(rig.lens.coefficients.empty() || rig.lens.coefficients.size() == 4, "a lens has four coefficients: k1, k2, p1, p2");
     need(!(rig.lens.distorts() && rig.orthographic), "a parallel projection has no lens");
     if (!bad.empty()) throw UsageError("synth: " + bad);
     const std::vector<Direction> where = directions(rig);

@@ -209,6 +209,28 @@ TEST(Distance, WindowAndBlocksAgreeWithTheWholeImage) {
     }
 }
 
+// Far from a window whose object lies along two of its sides, neither way there adds to the other.
+TEST(Distance, BoundsBeyondTheWindowHold) {
+    Progress quiet;
+    Mask mask;
+    mask.coverage = Image8(900, 700);
+    for (int y = 260; y < 640; ++y)
+        for (int x = 300; x < 860; ++x)
+            if (x > 830 || y > 610 || std::abs(y - 260 - (860 - x) * 2 / 3) < 4) mask.coverage.at(x, y) = 255;
+    const ImageF whole = signed_distance(mask.coverage);
+    DistanceOptions options;
+    options.reach_samples = 20;
+    const DistanceField field = distance_fields({view_of(mask)}, options, quiet).front();
+    ASSERT_GT(field.silhouette.x0, 200);
+    const kernel::FieldView view = field.silhouette.view();
+    for (int y = 0; y < 700; y += 3)
+        for (int x = 0; x < 900; x += 3) {
+            const double bound = kernel::distance_bound_px(view, static_cast<float>(x) + 0.5f, static_cast<float>(y) + 0.5f, 400), exact = whole.at(x, y);
+            if (bound > 0) { ASSERT_LE(bound, exact + 1.0 / 64) << x << " " << y; }
+            if (bound < 0) { ASSERT_GE(bound, exact - 1.0 / 64) << x << " " << y; }
+        }
+}
+
 // Coarser samples keep the contour: a soft disc, 4 pixels to a sample.
 TEST(Distance, CoarserSamplesStaySubPixel) {
     Progress quiet;

@@ -4,7 +4,6 @@
 
 #include "cli.h"
 #include "vdbcarve/check.h"
-#include "vdbcarve/info.h"
 
 namespace vdbcarve::cli {
 

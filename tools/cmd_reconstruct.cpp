@@ -134,8 +134,9 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
             ->group("Carving");
         app->add_option("--silhouette-offset", o.distance.silhouette_offset_px, "grow silhouettes by so many pixels")->capture_default_str()->group("Carving");
         app->add_option_function<std::string>("--field-scale", [raw](const std::string& text) {
-            raw->options.field_scale = text == "auto" ? 0 : static_cast<int>(numbers("--field-scale", text, 1)[0]);
-            if (text != "auto" && raw->options.field_scale < 1) throw UsageError("--field-scale " + text + ": must be auto or a whole number >= 1");
+            const double value = text == "auto" ? 0 : numbers("--field-scale", text, 1)[0];
+            raw->options.field_scale = static_cast<int>(std::min(value, 1e6));
+            if (text != "auto" && (value < 1 || value > 1e6 || value != std::floor(value))) throw UsageError("--field-scale " + text + ": must be auto or a whole number >= 1");
         }, "pixels a side of a distance field's sample: auto (at least 2.5 samples to a voxel) or 1, 2, 4 …")->default_str("auto")->group("Carving");
         app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
         static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};

@@ -65,6 +65,7 @@ struct CarveStatistics {
     size_t leaves = 0;           ///< leaves with surface
     size_t active_voxels = 0;
     size_t bytes = 0;            ///< of the tree
+    size_t inside_voxels = 0;    ///< voxels of those leaves that are inside
     double clipped_share = 0;    ///< share of the surface that is cap of the bounds
 };
 

@@ -68,6 +68,7 @@ inline constexpr float kNearPlane_vox = 1e-3f;
 
 VDBCARVE_HD float min_f(float a, float b) { return b < a ? b : a; }
 VDBCARVE_HD float max_f(float a, float b) { return a < b ? b : a; }
+VDBCARVE_HD double max_d(double a, double b) { return a < b ? b : a; }
 VDBCARVE_HD float clamp_f(float x, float lo, float hi) { return max_f(lo, min_f(x, hi)); }
 
 struct Vec3 {
@@ -165,7 +166,7 @@ VDBCARVE_HD double distance_bound_px(const FieldView& f, float u, float v, doubl
     if (dx == 0.f && dy == 0.f) return block;
     // Beyond a side where the window ends before the frame: its margin and the way from there.
     const double beyond = std::sqrt(static_cast<double>(dx) * dx + static_cast<double>(dy) * dy);
-    return (block > f.reach_px ? block : static_cast<double>(f.reach_px)) + beyond;
+    return max_d(block, f.reach_px + beyond);
 }
 
 /// On the medial axis of a silhouette the gradient vanishes and says nothing; elsewhere it is about 1.
