@@ -24,7 +24,7 @@ float beyond_frames(const std::vector<kernel::CarveView>& views, const openvdb::
     std::vector<float> values;
     for (const kernel::CarveView& view : views) {
         const kernel::Vec3 p = kernel::leaf_to_camera(view, c.x(), c.y(), c.z()).origin;
-        if (view.orthographic || p.z > near_depth) values.push_back(kernel::silhouette_value(view, kernel::project(view, p), p.z, band));
+        if (view.orthographic || p.z > near_depth) values.push_back(kernel::silhouette_value(view, view.silhouette, kernel::project(view, p), p.z, band));
     }
     const auto rank = static_cast<size_t>(max_misses);
     if (values.size() <= rank) return -band;

@@ -11,6 +11,9 @@
 #include <memory>
 #include <set>
 
+#include "carve_plan.h"
+#include "same_transform.h"
+#include "vdbcarve/device.h"
 #include "vector_loops.h"
 
 namespace vdbcarve {
@@ -62,6 +65,22 @@ kernel::CarveView make_carve_view(const CarveInput& input, const CarveOptions& o
         if (!input.field->ignored.empty()) v.ignored = input.field->ignored.view();
     }
     return v;
+}
+
+CarvePlan plan_carve(size_t views, const CarveOptions& options) {
+    const double h = options.lattice.voxel_size;
+    CarvePlan plan;
+    plan.band = options.occupancy ? 0.0 : options.half_width_vox * h;
+    plan.near_depth = kernel::kNearPlane_vox * static_cast<float>(h);
+    plan.cell_radius = static_cast<float>(kernel::kCellRadius_vox * h);
+    plan.need_seen = static_cast<int>(std::ceil(options.min_seen * static_cast<double>(views) - 1e-9));
+    plan.range = voxels_in_bounds(options.lattice, options.bounds_world, options.occupancy ? 0 : options.half_width_vox + 1);
+    if (options.brick)
+        for (size_t a = 0; a < 3; ++a) {
+            plan.range.min[a] = std::max(plan.range.min[a], options.brick->min[a]);
+            plan.range.max[a] = std::min(plan.range.max[a], options.brick->max[a]);
+        }
+    return plan;
 }
 
 FieldPlan plan_fields(const std::vector<Camera>& cameras, const CarveOptions& options, int scale) {
@@ -161,22 +180,17 @@ class Carver {
   public:
     Carver(const std::vector<CarveInput>& inputs, const CarveOptions& options) : options_(options), inputs_(inputs) {
         for (const CarveInput& input : inputs_) views_.push_back(make_carve_view(input, options));
-        const double h = options.lattice.voxel_size;
-        band_ = options.occupancy ? 0.0 : options.half_width_vox * h;
+        const CarvePlan plan = plan_carve(views_.size(), options);
+        band_ = plan.band;
         band_f_ = static_cast<float>(band_);
-        near_ = kernel::kNearPlane_vox * static_cast<float>(h);
-        cell_radius_ = static_cast<float>(std::sqrt(3.0) * 1.5 * h * (1 + 1e-6));
-        need_seen_ = static_cast<int>(std::ceil(options.min_seen * static_cast<double>(views_.size()) - 1e-9));
+        near_ = plan.near_depth;
+        cell_radius_ = plan.cell_radius;
+        need_seen_ = plan.need_seen;
+        range_ = plan.range;
         for (int a = 0; a < 3; ++a) {
             lo_[a] = options.bounds_world.min()[a];
             hi_[a] = options.bounds_world.max()[a];
         }
-        range_ = voxels_in_bounds(options.lattice, options.bounds_world, options.occupancy ? 0 : options.half_width_vox + 1);
-        if (options.brick)
-            for (size_t a = 0; a < 3; ++a) {
-                range_.min[a] = std::max(range_.min[a], options.brick->min[a]);
-                range_.max[a] = std::min(range_.max[a], options.brick->max[a]);
-            }
         set_batch(0, inputs.size());
     }
 
@@ -197,7 +211,6 @@ class Carver {
     }
 
     const IndexBox& range() const { return range_; }
-    float band() const { return band_f_; }
 
     /// Asks the batch's views about a node, from the coarse to the fine.
     void ask(OpenNode node, Found& found) const {
@@ -489,6 +502,8 @@ class Carver {
     IndexBox range_;
 };
 
+}  // namespace
+
 void check_field(const std::string& name, const Intrinsics& k, const DistanceField& field, const CarveOptions& options) {
     if (field.silhouette.samples.size() > 0x7fffffff) throw UsageError("carve: view " + name + ": more than 2^31 pixels");
     if (field.silhouette.empty() || field.mask_width != k.width_px || field.mask_height != k.height_px)
@@ -496,7 +511,7 @@ void check_field(const std::string& name, const Intrinsics& k, const DistanceFie
     if (options.occupancy && field.scale != 1) throw UsageError("carve: the binary model wants a sample a pixel, view " + name + " has a field-scale of " + std::to_string(field.scale));
 }
 
-void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o) {
+void check_carve(const std::vector<CarveInput>& inputs, const CarveOptions& o) {
     std::string bad;
     const auto need = [&](bool ok, const std::string& what) {
         if (!ok) bad += (bad.empty() ? "" : "; ") + what;
@@ -524,8 +539,7 @@ void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o)
     }
 }
 
-/// Says why nothing is left, by asking every view about a raster of points.
-[[noreturn]] void explain_empty(const std::vector<CarveInput>& inputs, const CarveOptions& options) {
+void explain_empty(const std::vector<CarveInput>& inputs, const CarveOptions& options) {
     for (const CarveInput& input : inputs)
         if (!input.field) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all views at once and names them");
     constexpr int kSide = 48;
@@ -585,13 +599,11 @@ void check_options(const std::vector<CarveInput>& inputs, const CarveOptions& o)
                              (tally.fewest <= kMaxMisses ? ", or allow --max-misses " + std::to_string(tally.fewest) : std::string()) + "; if those masks mean 'do not use', give them as --ignore-masks");
 }
 
-}  // namespace
-
 namespace {
 
 /// One batch or several: `fields_of` is null when the inputs hold all fields.
 CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource* fields_of, const CarveOptions& options, Progress& progress) {
-    check_options(inputs, options);
+    check_carve(inputs, options);
     Carver carver(inputs, options);
     const IndexBox& range = carver.range();
 
@@ -654,9 +666,7 @@ CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const Field
     result.statistics.clipped_share = surface ? static_cast<double>(capped) / static_cast<double>(surface) : 0;
 
     if (options.occupancy) {
-        result.occupancy = openvdb::MaskGrid::create(false);
-        result.occupancy->setTransform(options.lattice.transform());
-        result.occupancy->setName("occupancy");
+        result.occupancy = empty_occupancy(options);
         openvdb::MaskTree& tree = result.occupancy->tree();
         bool any = false;
         for (Found& f : found) {
@@ -672,31 +682,60 @@ CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const Field
         }
         if (result.statistics.leaves == 0 && !any && !options.brick && !options.allow_empty) explain_empty(inputs, options);
         openvdb::tools::prune(tree);
-        result.statistics.active_voxels = tree.activeVoxelCount();
-        result.statistics.bytes = tree.memUsage();
+        measure_tree(result);
         return result;
     }
 
     // Leaves without a negative voxel hold the outer band of a surface that no voxel is inside of.
     if (negative == 0 && !options.brick && !options.allow_empty) explain_empty(inputs, options);
-    result.hull = openvdb::FloatGrid::create(carver.band());
-    result.hull->setTransform(options.lattice.transform());
-    result.hull->setName("hull");
-    result.hull->setGridClass(openvdb::GRID_LEVEL_SET);
+    result.hull = empty_hull(options);
     openvdb::FloatTree& tree = result.hull->tree();
     for (Found& f : found)
         for (auto& leaf : f.leaves) tree.addLeaf(leaf.release());
     openvdb::tools::signedFloodFill(tree);
-    result.statistics.active_voxels = tree.activeVoxelCount();
-    result.statistics.bytes = tree.memUsage();
+    measure_tree(result);
     return result;
 }
 
 }  // namespace
 
+openvdb::FloatGrid::Ptr empty_hull(const CarveOptions& options) {
+    openvdb::FloatGrid::Ptr hull = openvdb::FloatGrid::create(static_cast<float>(options.half_width_vox * options.lattice.voxel_size));
+    hull->setTransform(options.lattice.transform());
+    hull->setName("hull");
+    hull->setGridClass(openvdb::GRID_LEVEL_SET);
+    return hull;
+}
+
+openvdb::MaskGrid::Ptr empty_occupancy(const CarveOptions& options) {
+    openvdb::MaskGrid::Ptr occupancy = openvdb::MaskGrid::create(false);
+    occupancy->setTransform(options.lattice.transform());
+    occupancy->setName("occupancy");
+    return occupancy;
+}
+
+void measure_tree(CarveResult& result) {
+    const auto& tree = result.occupancy ? static_cast<const openvdb::TreeBase&>(result.occupancy->tree()) : result.hull->tree();
+    result.statistics.leaves = tree.leafCount();
+    result.statistics.active_voxels = tree.activeVoxelCount();
+    result.statistics.bytes = tree.memUsage();
+}
+
 CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress) {
     for (const CarveInput& input : inputs)
         if (!input.field) throw UsageError("carve: view " + input.name + " has no distance field");
+    if (options.backend == Backend::Cuda) {
+        check_carve(inputs, options);
+        DevicePipeline device(options.device);
+        device.set_fields(inputs);
+        CarveResult result;
+        result.statistics = device.carve(inputs, options, progress);
+        result.backend_used = "cuda";
+        if (options.occupancy) result.occupancy = device.occupancy();
+        else result.hull = device.hull();
+        measure_tree(result);
+        return result;
+    }
     return run(inputs, inputs.size(), nullptr, options, progress);
 }
 
@@ -711,7 +750,7 @@ openvdb::FloatGrid::Ptr merge_bricks(const std::vector<openvdb::FloatGrid::Ptr>&
     if (bricks.empty()) throw UsageError("merge_bricks: no bricks");
     const openvdb::FloatGrid& first = *bricks.front();
     openvdb::FloatGrid::Ptr out = openvdb::FloatGrid::create(first.background());
-    out->setTransform(first.transform().copy());
+    out->setTransform(same_transform(first.transform()));
     out->setName(first.getName());
     out->setGridClass(openvdb::GRID_LEVEL_SET);
     std::set<Coord> origins;

@@ -7,6 +7,8 @@
 #include <cmath>
 #include <string>
 
+#include "field_plan.h"
+#include "vdbcarve/device.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/kernel/distance.h"
 #include "vector_loops.h"
@@ -104,30 +106,18 @@ void fill_blocks(SampledField& field, ImageView<uint8_t> m, double offset) {
     field.blocks.resize(object.size());
     for (size_t b = 0; b < object.size(); ++b) {
         const bool inside = !background[b];
-        // A block of one side only; the offset moves the contour towards the background.
-        const double away = (inside ? to_background[b] + offset : to_object[b] - offset) - 1;
-        const int bound = object[b] && background[b] ? 0 : static_cast<int>(std::clamp(std::floor(away), 0.0, 32000.0));
-        field.blocks[b] = static_cast<int16_t>(inside ? -bound : bound);
+        field.blocks[b] = static_cast<int16_t>(object[b] && background[b] ? 0 : kernel::block_bound(inside ? to_background[b] : to_object[b], inside, offset));
     }
 }
 
-/// Signed distance over the window [x0, x1) x [y0, y1) of a mask.
-SampledField window_field(ImageView<uint8_t> m, int x0, int y0, int x1, int y1, double reach, double offset) {
-    SampledField out;
-    out.x0 = x0;
-    out.y0 = y0;
-    out.width = x1 - x0;
-    out.height = y1 - y0;
-    out.reach = static_cast<float>(reach);
-    out.cut[0] = x0 > 0;
-    out.cut[1] = y0 > 0;
-    out.cut[2] = x1 < m.width;
-    out.cut[3] = y1 < m.height;
+/// Signed distance over a window of a mask.
+SampledField window_field(ImageView<uint8_t> m, const FieldWindow& window, double reach, double offset) {
+    SampledField out = field_header(m.width, m.height, window, reach);
+    const FieldLengths lengths = field_lengths(reach, offset);
     out.samples.resize(static_cast<size_t>(out.width) * static_cast<size_t>(out.height));
     std::vector<int32_t> scratch(window_scratch(out.width, out.height));
-    vector_loops().window_distance({m.data + static_cast<size_t>(y0) * static_cast<size_t>(m.width) + x0, m.width, out.width, out.height,
-                                    static_cast<int>((reach + std::fabs(offset)) * kernel::kSubpixel), static_cast<int>(std::lround(offset * kernel::kSubpixel)),
-                                    static_cast<int>(reach * kernel::kSubpixel), out.samples.data(), scratch.data()});
+    vector_loops().window_distance({m.data + static_cast<size_t>(out.y0) * static_cast<size_t>(m.width) + out.x0, m.width, out.width, out.height, lengths.reach, lengths.offset,
+                                    lengths.clamp, out.samples.data(), scratch.data()});
     fill_blocks(out, m, offset);
     return out;
 }
@@ -148,16 +138,6 @@ Image8 coarser(ImageView<uint8_t> m, int scale, bool largest) {
     return out;
 }
 
-struct Window {
-    int x0, y0, x1, y1;
-};
-
-/// The contour is within a pixel of an object's pixel centre, the offset moves it; the border's samples saturate.
-Window window_around(const Box& box, int width, int height, double reach, double offset) {
-    const int margin = static_cast<int>(std::ceil(reach + std::max(offset, 0.0))) + 2;
-    return {std::max(0, box.x0 - margin), std::max(0, box.y0 - margin), std::min(width, box.x1 + 1 + margin), std::min(height, box.y1 + 1 + margin)};
-}
-
 DistanceField field_of(const MaskView& mask, const DistanceOptions& options) {
     DistanceField out;
     out.scale = options.scale;
@@ -169,11 +149,8 @@ DistanceField field_of(const MaskView& mask, const DistanceOptions& options) {
         coverage = held = coarser(mask.coverage, options.scale, options.conservative);
         if (!ignore.empty()) ignore = ignore_held = coarser(mask.ignore, options.scale, true);
     }
-    if (coverage.width < 2 || coverage.height < 2)
-        throw UsageError("a mask of " + std::to_string(mask.coverage.width) + " x " + std::to_string(mask.coverage.height) + " pixels has no contour" +
-                         (options.scale > 1 ? " at field-scale " + std::to_string(options.scale) : "") + "; 2 x 2 is the least");
-    const double offset = options.silhouette_offset_px / options.scale;
-    const double reach = std::min(options.reach_samples, kernel::kMaxReach_px - std::fabs(offset));
+    check_mask_size(out.mask_width, out.mask_height, options.scale);
+    const double offset = field_offset(options), reach = field_reach(options);
     Image8 unknown_as_object;
     if (!ignore.empty()) {
         unknown_as_object = Image8(coverage.width, coverage.height);
@@ -184,23 +161,62 @@ DistanceField field_of(const MaskView& mask, const DistanceOptions& options) {
             seen.data[p] = ignored ? 0 : 255;
         }
         coverage = unknown_as_object;
-        out.ignored = window_field(seen, 0, 0, seen.width, seen.height, reach, 0);
+        out.ignored = window_field(seen, {0, 0, seen.width, seen.height}, reach, 0);
     }
     const Box box = object_box(coverage);
     if (box.empty()) {
-        out.silhouette = window_field(coverage, 0, 0, 2, 2, reach, 0);
+        out.silhouette = window_field(coverage, {0, 0, 2, 2}, reach, 0);
         return out;
     }
     out.object_box[0] = box.x0;
     out.object_box[1] = box.y0;
     out.object_box[2] = box.x1;
     out.object_box[3] = box.y1;
-    const Window w = window_around(box, coverage.width, coverage.height, reach, offset);
-    out.silhouette = window_field(coverage, w.x0, w.y0, w.x1, w.y1, reach, offset);
+    out.silhouette = window_field(coverage, window_around(out.object_box, coverage.width, coverage.height, reach, offset), reach, offset);
     return out;
 }
 
 }  // namespace
+
+double field_offset(const DistanceOptions& options) { return options.silhouette_offset_px / options.scale; }
+double field_reach(const DistanceOptions& options) { return std::min(options.reach_samples, kernel::kMaxReach_px - std::fabs(field_offset(options))); }
+
+FieldLengths field_lengths(double reach, double offset) {
+    return {static_cast<int>((reach + std::fabs(offset)) * kernel::kSubpixel), static_cast<int>(std::lround(offset * kernel::kSubpixel)), static_cast<int>(reach * kernel::kSubpixel)};
+}
+
+FieldWindow window_around(const int box[4], int width, int height, double reach, double offset) {
+    const int margin = static_cast<int>(std::ceil(reach + std::max(offset, 0.0))) + 2;
+    return {std::max(0, box[0] - margin), std::max(0, box[1] - margin), std::min(width, box[2] + 1 + margin), std::min(height, box[3] + 1 + margin)};
+}
+
+SampledField field_header(int width, int height, const FieldWindow& w, double reach) {
+    SampledField out;
+    out.x0 = w.x0;
+    out.y0 = w.y0;
+    out.width = w.x1 - w.x0;
+    out.height = w.y1 - w.y0;
+    out.reach = static_cast<float>(reach);
+    out.cut[0] = w.x0 > 0;
+    out.cut[1] = w.y0 > 0;
+    out.cut[2] = w.x1 < width;
+    out.cut[3] = w.y1 < height;
+    return out;
+}
+
+void check_distance(const DistanceOptions& options) {
+    if (options.scale < 1) throw UsageError("distance: a field-scale of " + std::to_string(options.scale) + " px, must be >= 1");
+    if (!(options.reach_samples >= 4 && options.reach_samples <= kernel::kMaxReach_px))
+        throw UsageError("distance: a reach of " + std::to_string(options.reach_samples) + " samples, must be 4.." + std::to_string(kernel::kMaxReach_px));
+    if (!(std::fabs(options.silhouette_offset_px) <= kernel::kMaxReach_px / 2 * options.scale))
+        throw UsageError("distance: a silhouette offset of " + std::to_string(options.silhouette_offset_px) + " px, at most " + std::to_string(kernel::kMaxReach_px / 2 * options.scale));
+}
+
+void check_mask_size(int mask_width, int mask_height, int scale) {
+    if ((mask_width + scale - 1) / scale < 2 || (mask_height + scale - 1) / scale < 2)
+        throw UsageError("a mask of " + std::to_string(mask_width) + " x " + std::to_string(mask_height) + " pixels has no contour" + (scale > 1 ? " at field-scale " + std::to_string(scale) : "") +
+                         "; 2 x 2 is the least");
+}
 
 size_t planned_field_bytes(const MaskView& mask, const DistanceOptions& options) {
     if (mask.coverage.empty()) return 0;
@@ -209,27 +225,30 @@ size_t planned_field_bytes(const MaskView& mask, const DistanceOptions& options)
     if (!mask.ignore.empty()) return 2 * bytes(width, height);
     Box box = object_box(mask.coverage);
     if (box.empty()) return bytes(2, 2);
-    box = {box.x0 / options.scale, box.y0 / options.scale, box.x1 / options.scale, box.y1 / options.scale};
-    const Window w = window_around(box, width, height, options.reach_samples, options.silhouette_offset_px / options.scale);
+    const int samples[4] = {box.x0 / options.scale, box.y0 / options.scale, box.x1 / options.scale, box.y1 / options.scale};
+    const FieldWindow w = window_around(samples, width, height, options.reach_samples, field_offset(options));
     return bytes(w.x1 - w.x0, w.y1 - w.y0);
 }
 
 ImageF signed_distance(ImageView<uint8_t> m, int reach_px) {
     if (reach_px < 4 || reach_px > kernel::kMaxReach_px) throw UsageError("distance: a reach of " + std::to_string(reach_px) + " px, must be 4.." + std::to_string(kernel::kMaxReach_px));
-    if (m.width < 2 || m.height < 2)
-        throw UsageError("a mask of " + std::to_string(m.width) + " x " + std::to_string(m.height) + " pixels has no contour; 2 x 2 is the least");
-    const SampledField field = window_field(m, 0, 0, m.width, m.height, reach_px, 0);
+    check_mask_size(m.width, m.height, 1);
+    const SampledField field = window_field(m, {0, 0, m.width, m.height}, reach_px, 0);
     ImageF out(m.width, m.height);
     for (size_t i = 0; i < out.data.size(); ++i) out.data[i] = static_cast<float>(field.samples[i]) / kernel::kFieldUnits;
     return out;
 }
 
 std::vector<DistanceField> distance_fields(const std::vector<MaskView>& masks, const DistanceOptions& options, Progress& progress) {
-    if (options.scale < 1) throw UsageError("distance: a field-scale of " + std::to_string(options.scale) + " px, must be >= 1");
-    if (!(options.reach_samples >= 4 && options.reach_samples <= kernel::kMaxReach_px))
-        throw UsageError("distance: a reach of " + std::to_string(options.reach_samples) + " samples, must be 4.." + std::to_string(kernel::kMaxReach_px));
-    if (!(std::fabs(options.silhouette_offset_px) <= kernel::kMaxReach_px / 2 * options.scale))
-        throw UsageError("distance: a silhouette offset of " + std::to_string(options.silhouette_offset_px) + " px, at most " + std::to_string(kernel::kMaxReach_px / 2 * options.scale));
+    check_distance(options);
+    if (options.backend == Backend::Cuda) {
+        progress.begin("distance", 1);
+        DevicePipeline device(options.device);
+        device.upload(masks);
+        device.distance(options);
+        progress.step();
+        return device.fields();
+    }
     std::vector<DistanceField> out(masks.size());
     progress.begin("distance", masks.size());
     tbb::parallel_for(size_t{0}, masks.size(), [&](size_t i) {

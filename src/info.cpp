@@ -18,7 +18,13 @@ namespace {
 
 json vdb_info(const fs::path& file) {
     json out;
-    for (const openvdb::GridBase::Ptr& grid : read_vdb(file)) {
+    openvdb::GridPtrVec grids;
+    if (file.extension() == ".nvdb") {
+        for (const openvdb::FloatGrid::Ptr& grid : read_nvdb(file)) grids.push_back(grid);
+    } else {
+        grids = read_vdb(file);
+    }
+    for (const openvdb::GridBase::Ptr& grid : grids) {
         json g;
         g["name"] = grid->getName();
         g["type"] = grid->valueType();
@@ -84,7 +90,7 @@ std::string info_json(const fs::path& file, Progress& progress) {
             if (fs::exists(file / (std::string(name) + ".vdb"))) out[name] = vdb_info(file / (std::string(name) + ".vdb"));
         if (fs::exists(file / "mesh.ply")) out["mesh"] = mesh_info(file / "mesh.ply");
         if (out.size() == 1) out["scene"] = scene_info(file, {}, progress);
-    } else if (ext == ".vdb") {
+    } else if (ext == ".vdb" || ext == ".nvdb") {
         out["volume"] = vdb_info(file);
     } else if (ext == ".ply" || ext == ".obj" || ext == ".stl" || ext == ".off") {
         out["mesh"] = mesh_info(file);

@@ -40,8 +40,11 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
     void set_next(OpenMesh::HalfedgeHandle, OpenMesh::HalfedgeHandle) override {}
     void set_face(OpenMesh::HalfedgeHandle, OpenMesh::FaceHandle) override {}
     void request_face_texcoords2D() override {}
-    void set_normal(OpenMesh::VertexHandle, const OpenMesh::Vec3f&) override {}
-    void set_normal(OpenMesh::VertexHandle, const OpenMesh::Vec3d&) override {}
+    void set_normal(OpenMesh::VertexHandle v, const OpenMesh::Vec3f& n) override {
+        mesh_.normals.resize(mesh_.vertices.size());
+        mesh_.normals[static_cast<size_t>(v.idx())] = {n[0], n[1], n[2]};
+    }
+    void set_normal(OpenMesh::VertexHandle v, const OpenMesh::Vec3d& n) override { set_normal(v, OpenMesh::Vec3f(n)); }
     void set_normal(OpenMesh::FaceHandle, const OpenMesh::Vec3f&) override {}
     void set_normal(OpenMesh::FaceHandle, const OpenMesh::Vec3d&) override {}
     void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec3uc&) override {}
@@ -103,9 +106,19 @@ void put(std::string& out, const void* data, size_t bytes) { out.append(static_c
 
 void write_ply(std::ostream& out, const Mesh& mesh) {
     out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size()
-        << "\nproperty float x\nproperty float y\nproperty float z\nelement face " << mesh.triangles.size()
-        << "\nproperty list uchar int vertex_indices\nend_header\n";
-    out.write(reinterpret_cast<const char*>(mesh.vertices.data()), static_cast<std::streamsize>(mesh.vertices.size() * 12));
+        << "\nproperty float x\nproperty float y\nproperty float z\n" << (mesh.normals.empty() ? "" : "property float nx\nproperty float ny\nproperty float nz\n") << "element face "
+        << mesh.triangles.size() << "\nproperty list uchar int vertex_indices\nend_header\n";
+    if (mesh.normals.empty()) {
+        out.write(reinterpret_cast<const char*>(mesh.vertices.data()), static_cast<std::streamsize>(mesh.vertices.size() * 12));
+    } else {
+        std::string points;
+        points.reserve(mesh.vertices.size() * 24);
+        for (size_t v = 0; v < mesh.vertices.size(); ++v) {
+            put(points, mesh.vertices[v].data(), 12);
+            put(points, mesh.normals[v].data(), 12);
+        }
+        out.write(points.data(), static_cast<std::streamsize>(points.size()));
+    }
     std::string faces;
     faces.reserve(mesh.triangles.size() * 13);
     for (const auto& t : mesh.triangles) {
@@ -175,7 +188,7 @@ Mesh read_mesh(const fs::path& file) {
     if (!fs::is_regular_file(file)) throw InputError(file.string() + ": no such file");
     Mesh mesh;
     ArrayImporter importer(mesh);
-    OpenMesh::IO::Options options;
+    OpenMesh::IO::Options options(file.extension() == ".ply" ? OpenMesh::IO::Options::VertexNormal : OpenMesh::IO::Options::Default);
     omerr().disable();
     if (!OpenMesh::IO::IOManager().read(file.string(), importer, options))
         throw InputError(file.string() + ": is not a mesh that can be read (.ply, .obj, .stl, .off)");

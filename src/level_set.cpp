@@ -14,7 +14,9 @@
 #include <cmath>
 #include <unordered_map>
 
+#include "vdbcarve/device.h"
 #include "vdbcarve/kernel/level_set.h"
+#include "same_transform.h"
 #include "vector_loops.h"
 
 namespace vdbcarve {
@@ -68,6 +70,13 @@ void fill_halo(const std::array<int32_t, 6>& neighbours, const float* own, const
 openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOptions& options, Progress& progress) {
     if (options.half_width_vox < 2 || options.half_width_vox > 100)
         throw UsageError("level_set: half-width is " + std::to_string(options.half_width_vox) + " voxels, must be 2..100");
+    if (options.backend == Backend::Cuda) {
+        progress.begin("level_set", 1);
+        DevicePipeline device(options.device);
+        device.set_hull(*hull);
+        device.level_set(options);
+        return device.surface();
+    }
     const auto voxel = static_cast<float>(hull->voxelSize()[0]);
     const float band_vox = static_cast<float>(options.half_width_vox), band = band_vox * voxel;
 
@@ -78,8 +87,7 @@ openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOp
     surface->tree().getNodes(leaves);
     const size_t count = leaves.size();
     const auto neighbours = neighbours_of(leaves);
-    // A pass reaches one voxel on; along a space diagonal a distance of w takes sqrt(3) w steps.
-    const int passes = static_cast<int>(std::ceil(std::sqrt(3.0) * options.half_width_vox)) + 1;
+    const int passes = kernel::level_set_passes(options.half_width_vox);
     progress.begin("level_set", static_cast<size_t>(passes) + 2);
     const VectorLoops& loops = vector_loops();
 
@@ -157,7 +165,7 @@ openvdb::FloatGrid::Ptr level_set_of_occupancy(const openvdb::MaskGrid& occupanc
     const float band = static_cast<float>(options.half_width_vox) * voxel;
     // Active tiles become voxels only near the border: dilate the voxelised mask's complement by topology.
     openvdb::FloatGrid::Ptr grid = openvdb::FloatGrid::create(band);
-    grid->setTransform(occupancy.transform().copy());
+    grid->setTransform(same_transform(occupancy.transform()));
     openvdb::MaskTree wide(occupancy.tree());
     openvdb::tools::dilateActiveValues(wide, options.half_width_vox, openvdb::tools::NN_FACE, openvdb::tools::EXPAND_TILES);
     openvdb::MaskTree narrow(occupancy.tree());
@@ -190,6 +198,7 @@ openvdb::FloatGrid::Ptr density_of(const openvdb::FloatGrid& surface) {
     const auto voxel = static_cast<float>(surface.voxelSize()[0]);
     const float scale = 1.f / (2.f * 1.5f * voxel);
     openvdb::FloatGrid::Ptr density = surface.deepCopy();
+    density->setTransform(same_transform(surface.transform()));
     density->setName("density");
     density->setGridClass(openvdb::GRID_FOG_VOLUME);
     openvdb::tree::LeafManager<openvdb::FloatTree> leaves(density->tree());

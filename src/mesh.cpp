@@ -3,12 +3,30 @@
 
 #include <openvdb/tools/VolumeToMesh.h>
 
+#include "marching_cubes.h"
+#include "vdbcarve/device.h"
+
 namespace vdbcarve {
 
 Mesh extract_mesh(const openvdb::FloatGrid& surface, const MeshOptions& options, Progress& progress) {
     if (!(options.adaptivity >= 0 && options.adaptivity <= 1))
         throw UsageError("adaptivity is " + std::to_string(options.adaptivity) + ", must be 0..1");
     progress.begin("mesh", 1);
+    if (options.normals && options.mesher != Mesher::MarchingCubes) throw UsageError("mesh: normals are made by --mesher marching-cubes only");
+    if (options.mesher == Mesher::MarchingCubes) {
+        if (options.adaptivity > 0) throw UsageError("mesh: --adaptivity is of --mesher dual; marching cubes has none");
+        Mesh mesh;
+        if (options.backend == Backend::Cuda) {
+            DevicePipeline device(options.device);
+            device.set_surface(surface);
+            mesh = device.mesh(options.normals);
+        } else {
+            mesh = marching_cubes(surface, options.normals);
+        }
+        if (mesh.vertices.empty()) throw InputError("mesh: the volume has no surface");
+        progress.step();
+        return mesh;
+    }
     std::vector<openvdb::Vec3s> points;
     std::vector<openvdb::Vec3I> triangles;
     std::vector<openvdb::Vec4I> quads;

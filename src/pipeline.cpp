@@ -11,11 +11,13 @@
 #include <set>
 
 #include "atomic_file.h"
+#include "carve_plan.h"
 #include "io_image.h"
 #include "memory.h"
 #include "sha256.h"
 #include "statistics.h"
 #include "vdbcarve/carve.h"
+#include "vdbcarve/device.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
@@ -138,8 +140,8 @@ class Job {
     }
 
     void check_options() {
-        if (o_.backend == Backend::Cuda)
-            throw BackendError("--backend cuda: this vdbcarve carves on the CPU only (built without CUDA). Remedy: --backend auto");
+        backend_ = choose_backend(o_.backend, o_.device);
+        if (o_.backend == Backend::Auto && backend_ == Backend::Cpu && o_.device != 0) progress_.warn("--device " + std::to_string(o_.device) + " means nothing here: " + why_no_cuda());
         std::string bad;
         const auto need = [&](bool ok, const std::string& what) {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
@@ -152,6 +154,8 @@ class Job {
         need(o_.field_scale >= 0, "--field-scale is " + std::to_string(o_.field_scale) + ", must be >= 1, or auto");
         need(o_.half_width_vox >= 2 && o_.half_width_vox <= 100, "the half-width is " + std::to_string(o_.half_width_vox) + " voxels, must be 2..100");
         need(o_.min_seen >= 0 && o_.min_seen <= 1, "--min-seen is " + std::to_string(o_.min_seen) + ", must be 0..1");
+        need(!o_.normals || o_.mesher == Mesher::MarchingCubes, "--normals are made by --mesher marching-cubes only");
+        need(o_.mesher == Mesher::Dual || o_.adaptivity == 0, "--adaptivity is of --mesher dual; marching cubes has none");
         need(o_.adaptivity >= 0 && o_.adaptivity <= 1, "--adaptivity is " + std::to_string(o_.adaptivity) + ", must be 0..1");
         if (o_.grid)
             for (int d : *o_.grid) need(d > 0, "--grid has a side of " + std::to_string(d) + " voxels");
@@ -343,9 +347,32 @@ class Job {
         warnings_before_grid_ = progress_.warnings().size();
         plan_grid();
         if (o_.dry_run) return;
+        if (backend_ == Backend::Cuda && on_device("distance", [&] {
+                device_->upload(used_masks_);
+                device_->distance(field_options_);
+                device_->wait();
+            }))
+            return;
         if (batch_ < inputs_.size()) return;  // made in batches while carving
         fields_ = distance_fields(used_masks_, field_options_, progress_);
         for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
+    }
+
+    /// Runs work on the device. Where that fails (for want of memory, most likely) and the device was not demanded, says so and
+    /// returns false: the CPU gives the same result.
+    template <class Work>
+    bool on_device(const char* stage, const Work& work) {
+        try {
+            if (!device_) device_.emplace(o_.device);
+            work();
+            return true;
+        } catch (const BackendError& e) {
+            if (o_.backend == Backend::Cuda) throw;
+            progress_.warn(std::string(stage) + ": " + e.what() + "; going on on the CPU, with the same result");
+            device_.reset();
+            backend_ = Backend::Cpu;
+            return false;
+        }
     }
 
     // --------------------------------------------------------------------------------------- memory
@@ -381,6 +408,9 @@ class Job {
     // level set's second set of values and its bookkeeping; the mesh with what OpenVDB needs to extract it (47 vertices a
     // leaf); two volumes, one mesh and compressed buffers while files are written.
     static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300;
+    // On the device: candidate leaves (1.35 for each that stays) with values and view lists, and the grid; the level set's two sets of
+    // values, its grid and neighbours.
+    static constexpr double kDevicePerLeaf = 1.35 * (2048 + 64 + 32) + 2148 + 2 * 2048 + 64 + 24 + 2148;
     static constexpr double kCarveBase = 20e6, kMeshBase = 40e6, kExportBase = 70e6;
 
     /// Peak memory of the run from here, by stage, into the report; then batches, bricks, or a clear no.
@@ -420,6 +450,18 @@ class Job {
             throw UsageError("this resolution needs about " + gb(later_peak) + " of memory, the limit is " + gb(limit) + " (--memory-limit). Remedy: " +
                              (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) + "`carve` alone goes further, in bricks");
         }
+        if (backend_ == Backend::Cuda && !o_.occupancy) {
+            const double device_room = 0.9 * static_cast<double>(cuda_devices()[static_cast<size_t>(o_.device)].memory_bytes) - 6 * fields;
+            if (leaves * kDevicePerLeaf > device_room) bricks_ = static_cast<int>(std::ceil(leaves * kDevicePerLeaf * 1.3 / std::max(device_room, 1e8)));
+            if (bricks_ > 1 && o_.last_stage == LastStage::Export) {
+                if (o_.backend == Backend::Cuda)
+                    throw BackendError("this resolution needs about " + gb(leaves * kDevicePerLeaf + 6 * fields) + " on the device, more than it has. Remedy: --backend cpu, or `carve` alone, in bricks");
+                progress_.note("the device has too little memory for this resolution; going on on the CPU, with the same result");
+                backend_ = Backend::Cpu;
+                bricks_ = 1;
+            }
+            if (carve_peak - fields <= limit) return;
+        }
         if (carve_peak <= limit || o_.occupancy) return;  // the binary model is small: a bit a voxel
         // Half of the room for fields, half for leaves.
         const double room = std::max(limit - resident - kCarveBase, 2e6);
@@ -433,6 +475,22 @@ class Job {
     CarveResult carve_part(const std::optional<IndexBox>& brick) {
         CarveOptions options = carve_;
         options.brick = brick;
+        if (backend_ == Backend::Cuda) {
+            CarveResult result;
+            if (on_device("carve", [&] {
+                    result.statistics = device_->carve(inputs_, options, progress_);
+                    if (options.occupancy) result.occupancy = device_->occupancy();
+                    else result.hull = device_->hull();
+                })) {
+                result.backend_used = "cuda";
+                measure_tree(result);
+                return result;
+            }
+            if (batch_ >= inputs_.size()) {
+                fields_ = distance_fields(used_masks_, field_options_, progress_);
+                for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
+            }
+        }
         if (batch_ >= inputs_.size()) return carve(inputs_, options, progress_);
         const FieldSource source = [&](size_t first, size_t last) {
             Progress quiet;
@@ -589,7 +647,7 @@ class Job {
         if (hull_is_there()) {
             const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"});
             report_["grid"] = (*note)["grid"];
-            backend_ = (*note)["backend"];
+            backend_used_ = (*note)["backend"];
             for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
             return true;
         }
@@ -597,7 +655,7 @@ class Job {
         if (bricks_ > 1) result.statistics = carve_bricks();
         else result = carve_part({});
         const CarveStatistics& s = result.statistics;
-        backend_ = result.backend_used;
+        backend_used_ = bricks_ > 1 ? name_of(backend_) : result.backend_used;
         json& g = report_["grid"];
         g["active_voxels"] = s.active_voxels;
         g["leaves"] = s.leaves;
@@ -613,7 +671,7 @@ class Job {
         inputs_.clear();
         if (bricks_ == 1) write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
         const std::vector<std::string> all = progress_.warnings();
-        json note{{"grid", g}, {"backend", backend_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before_grid_), all.end())}};
+        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before_grid_), all.end())}};
         write_file(hull_json(), note.dump(1) + "\n");
         return false;
     }
@@ -639,8 +697,15 @@ class Job {
             if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
             surface_ = level_set_of_occupancy(*occupancy_, options, progress_);
         } else {
+            const bool on_there = hull_ && device_;
             if (!hull_) hull_ = read_float_grid(hull_file(), "hull");
-            surface_ = level_set(std::move(hull_), options, progress_);
+            const bool done = backend_ == Backend::Cuda && on_device("level_set", [&] {
+                if (!on_there) device_->set_hull(*hull_);
+                device_->level_set(options);
+                surface_ = device_->surface();
+                surface_on_device_ = true;
+            });
+            if (!done) surface_ = level_set(std::move(hull_), options, progress_);
         }
         hull_.reset();
         write_vdb(file, {surface_}, metadata());
@@ -649,13 +714,21 @@ class Job {
 
     bool make_mesh() {
         Sha256 h;
-        mesh_key_ = h.add("mesh").add_value(kCodeVersion).add(surface_key_).add_value(o_.adaptivity).hex();
+        mesh_key_ = h.add("mesh").add_value(kCodeVersion).add(surface_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).hex();
         const fs::path file = store_.path("mesh", mesh_key_, ".ply");
         const bool reused = fs::exists(file);
         if (reused) {
             mesh_ = read_mesh(file);
         } else {
-            mesh_ = extract_mesh(*surface_, {o_.adaptivity}, progress_);
+            MeshOptions options;
+            options.adaptivity = o_.adaptivity;
+            options.mesher = o_.mesher;
+            options.normals = o_.normals;
+            const bool done = backend_ == Backend::Cuda && o_.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
+                if (!surface_on_device_) device_->set_surface(*surface_);
+                mesh_ = device_->mesh(o_.normals);
+            });
+            if (!done) mesh_ = extract_mesh(*surface_, options, progress_);
             write_mesh(file, mesh_);
         }
         measures_ = measure(mesh_);
@@ -769,7 +842,7 @@ class Job {
     Reconstruction finish() {
         report_["version"] = kVersion;
         report_["peak_rss_bytes"] = peak_bytes_;
-        report_["backend"] = backend_;
+        report_["backend"] = backend_used_;
         report_["warnings"] = progress_.warnings();
         report_["cameras"] = {{"file", views_.camera_file.string()}, {"format", views_.format}, {"up", views_.up}, {"units", views_.units}};
         Reconstruction out;
@@ -802,7 +875,10 @@ class Job {
     openvdb::MaskGrid::Ptr occupancy_;
     Mesh mesh_;
     MeshMeasures measures_;
-    std::string backend_ = "cpu", inputs_sha256_;
+    std::string backend_used_ = "cpu", inputs_sha256_;
+    Backend backend_ = Backend::Cpu;          ///< where work is done now
+    std::optional<DevicePipeline> device_;
+    bool surface_on_device_ = false;
     std::string mask_key_, hull_key_, surface_key_, mesh_key_;
     double median_iou_ = 0, minimum_iou_ = 0;
     std::vector<SilhouetteAgreement> agreement_;  ///< of views_

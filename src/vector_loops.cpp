@@ -65,29 +65,20 @@ bool raise_cell(const CarveView& view, const LeafToCamera& leaf, int cell, float
 
 CellAnswers raise_leaf(const CarveView& view, const int origin[3], unsigned alive, float ball_radius, float band, float* values) {
     const LeafToCamera leaf = leaf_to_camera(view, origin[0], origin[1], origin[2]);
-    // node_answers for the cells, in float and with a looser bound of the ball's projection, padded against rounding.
     const CarveView c = view;
-    float u[kLeafCells], v[kLeafCells], reach_px[kLeafCells];
+    CellProbe probes[kLeafCells];
     for (int cell = 0; cell < kLeafCells; ++cell) {
         const Vec3 centre = voxel_in_camera(leaf, static_cast<float>(cell >> 2 & 1) * 4.f + 1.5f, static_cast<float>(cell >> 1 & 1) * 4.f + 1.5f,
                                             static_cast<float>(cell & 1) * 4.f + 1.5f);
-        const Projected p = project(c, centre);
-        u[cell] = p.u;
-        v[cell] = p.v;
-        const float m2 = p.mx * p.mx + p.my * p.my, nearest = 1.f / (centre.z - ball_radius);
-        const float spread = ball_radius * std::sqrt(1.f + m2) * nearest;
-        const float m_max = std::sqrt(m2) + spread;
-        const float world = c.orthographic ? ball_radius + band : spread + band * std::sqrt(1.f + m_max * m_max) * nearest;
-        reach_px[cell] = c.sigma_max * world * 1.0001f + static_cast<float>(kFieldSlop_px) + 0.01f;
+        probes[cell] = cell_probe(c, centre, ball_radius, band);
     }
     CellAnswers out{0, 0, 0};
     for (int cell = 0; cell < kLeafCells; ++cell) {
         if (!(alive >> cell & 1)) continue;
-        const float s_px = static_cast<float>(nearest_sample(view.silhouette, u[cell], v[cell])) * (1.f / kFieldUnits);
-        const bool shown = reach_px[cell] < view.silhouette.reach_px;
-        if (shown && s_px > reach_px[cell]) {
+        const NodeAnswer answer = cell_answer(view.silhouette, probes[cell]);
+        if (answer == NodeAnswer::Out) {
             out.out |= 1u << cell;
-        } else if (!(shown && -s_px > reach_px[cell])) {  // else: never the largest value within the band
+        } else if (answer == NodeAnswer::Mixed) {  // In: never the largest value within the band
             out.mixed |= 1u << cell;
             if (raise_cell(view, leaf, cell, band, values + cell * kCellVoxels)) out.full |= 1u << cell;
         }

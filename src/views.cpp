@@ -15,27 +15,6 @@ namespace vdbcarve {
 
 namespace fs = std::filesystem;
 
-std::vector<Camera> Views::cameras() const {
-    std::vector<Camera> out;
-    for (const View& v : views) {
-        const auto sitting = std::find_if(sittings.begin(), sittings.end(), [&](const Sitting& s) { return s.id == v.sitting; });
-        Camera camera = v.camera;
-        if (sitting != sittings.end()) {
-            // camera_from_sitting * sitting_from_scene, with depths counted in scene units.
-            const Rigid3 sitting_from_scene = sitting->scene_from_sitting.inverse();
-            camera.camera_from_world = camera.camera_from_world * sitting_from_scene;
-            camera.camera_from_world.translation *= sitting->scale;
-            if (camera.intrinsics.orthographic) {
-                camera.intrinsics.fx /= sitting->scale;
-                camera.intrinsics.fy /= sitting->scale;
-                camera.intrinsics.skew /= sitting->scale;
-            }
-        }
-        out.push_back(camera);
-    }
-    return out;
-}
-
 bool natural_less(const std::string& a, const std::string& b) {
     const auto digit = [](char c) { return std::isdigit(static_cast<unsigned char>(c)) != 0; };
     size_t i = 0, j = 0;

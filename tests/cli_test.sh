@@ -84,6 +84,18 @@ expect 0 'focal_px' info scene
 expect 0 'focal_px' info out/cameras.json
 expect 0 'expected_bytes' reconstruct scene -o nothing --dry-run
 check 'a dry run writes nothing' test ! -e nothing
+expect 0 'closed manifold' reconstruct scene -o cubes --resolution 40 --mesher marching-cubes --normals
+check 'normals are in the mesh' grep -aq 'property float nz' cubes/mesh.ply
+check 'the mesher changes the mesh' test "$(cmp -s out/mesh.ply cubes/mesh.ply; echo $?)" -eq 1
+check 'and nothing of the volume' cmp -s out/volume.vdb cubes/volume.vdb
+expect 2 'marching-cubes' reconstruct scene -o cubes --resolution 40 --normals
+expect 2 'adaptivity' reconstruct scene -o cubes --resolution 40 --mesher marching-cubes --adaptivity 0.5
+expect 0 'volume.nvdb' export out -o volume.nvdb back.obj
+expect 0 'surface' info volume.nvdb
+expect 0 'again.vdb' export volume.nvdb -o again.vdb
+expect 0 'active_voxels' info again.vdb
+expect 2 'volumes become' export out/mesh.ply -o mesh.vdb
+expect 3 'no such file' export nowhere.vdb -o there.nvdb
 expect 0 'MB freed' clean out
 expect 3 'not made by vdbcarve' clean scene
 expect 0 'carve .* s' carve scene -o carved --resolution 24
@@ -99,7 +111,17 @@ expect 2 '6 numbers' reconstruct scene -o bad --bounds 1,2,3
 expect 2 "'x' is not a finite number" reconstruct scene -o bad --bounds 1,2,3,4,5,x
 expect 2 'where the cameras look' reconstruct scene -o bad --resolution 20 --bounds 100,100,100,101,101,101
 expect 3 'no such folder' reconstruct nowhere -o bad
-expect 7 'without CUDA' reconstruct scene -o bad --backend cuda
+if "$program" bench --no-cpu --grid 32x32x32 --views 4 --runs 1 >/dev/null 2>&1; then
+  # A GPU is here: the same files.
+  expect 0 'closed manifold' reconstruct scene -o gpu --resolution 40 --backend cuda
+  check 'the GPU gives the same mesh' cmp -s out/mesh.ply gpu/mesh.ply
+  check 'the GPU gives the same volume' cmp -s out/volume.vdb gpu/volume.vdb
+  check 'the report names the backend' grep -q '"backend": "cuda"' gpu/report.json
+  expect 7 '--device 99' reconstruct scene -o bad --backend cuda --device 99
+else
+  expect 7 'without CUDA|no CUDA device.*Remedy: --backend cpu' reconstruct scene -o bad --backend cuda
+  check 'without a GPU auto means the CPU' grep -q '"backend": "cpu"' out/report.json
+fi
 mkdir foreign && touch foreign/file
 expect 6 'not made by vdbcarve' reconstruct scene -o foreign
 expect 6 'cannot be made|is a file' reconstruct scene -o foreign/file/out

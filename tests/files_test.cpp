@@ -11,6 +11,7 @@
 #include <random>
 
 #include "atomic_file.h"
+#include "nanovdb_bytes.h"
 #include "support/scenes.h"
 #include "vector_loops.h"
 #include "vdbcarve/export.h"
@@ -32,11 +33,6 @@ openvdb::FloatGrid::Ptr hull_of(const char* name, int resolution, bool occupancy
     CarveResult r = carve(s.inputs, o, quiet);
     if (mask) *mask = r.occupancy;
     return r.hull;
-}
-
-double median(std::vector<double> v) {
-    std::nth_element(v.begin(), v.begin() + static_cast<long>(v.size() / 2), v.end());
-    return v[v.size() / 2];
 }
 
 struct FieldQuality {
@@ -390,6 +386,51 @@ TEST(Raster, SilhouetteOfABallIsAnEllipseAtPixelCentres) {
     const SilhouetteAgreement same = compare_silhouettes(hit, {hit.view(), {}});
     EXPECT_EQ(same.iou, 1);
     EXPECT_EQ(same.contour_p99_px, 0);
+}
+
+TEST(Nvdb, RoundTripKeepsEveryValue) {
+    openvdb::initialize();
+    TemporaryFolder folder;
+    const Shoot shot = shoot(small_spec("cup", 8));
+    Progress quiet;
+    const CarveOptions o = options_for(shot, 48);
+    const openvdb::FloatGrid::Ptr surface = level_set(carve(shot.inputs, o, quiet).hull, {}, quiet);
+    const openvdb::FloatGrid::Ptr density = density_of(*surface);
+    write_nvdb(folder / "a.nvdb", {surface, density});
+    write_nvdb(folder / "b.nvdb", {surface, density});
+    EXPECT_EQ(read_text(folder / "a.nvdb"), read_text(folder / "b.nvdb"));
+    const auto back = read_nvdb(folder / "a.nvdb");
+    ASSERT_EQ(back.size(), 2u);
+    for (size_t n = 0; n < 2; ++n) {
+        const openvdb::FloatGrid& was = n ? *density : *surface;
+        EXPECT_EQ(back[n]->getName(), was.getName());
+        EXPECT_EQ(back[n]->getGridClass(), was.getGridClass());
+        EXPECT_TRUE(back[n]->transform() == was.transform());
+        EXPECT_EQ(back[n]->activeVoxelCount(), was.activeVoxelCount());
+        size_t differing = 0;
+        for (auto it = was.cbeginValueAll(); it; ++it) differing += back[n]->tree().getValue(it.getCoord()) != *it;
+        EXPECT_EQ(differing, 0u);
+    }
+    EXPECT_EQ(invalid_nanovdb(to_nanovdb(*surface)), "");
+    write_text(folder / "bad.nvdb", "this is no volume");
+    error_of(ExitCode::Input, [&] { read_nvdb(folder / "bad.nvdb"); });
+    error_of(ExitCode::Input, [&] { read_nvdb(folder / "none.nvdb"); });
+}
+
+TEST(Ply, NormalsComeBack) {
+    TemporaryFolder folder;
+    Mesh mesh;
+    mesh.vertices = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    mesh.triangles = {{0, 2, 1}, {0, 1, 3}, {1, 2, 3}, {0, 3, 2}};
+    mesh.normals = {{-0.6f, -0.6f, -0.5f}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    write_mesh(folder / "m.ply", mesh);
+    const Mesh back = read_mesh(folder / "m.ply");
+    EXPECT_EQ(back.vertices, mesh.vertices);
+    EXPECT_EQ(back.triangles, mesh.triangles);
+    EXPECT_EQ(back.normals, mesh.normals);
+    mesh.normals.clear();
+    write_mesh(folder / "m.ply", mesh);
+    EXPECT_TRUE(read_mesh(folder / "m.ply").normals.empty());
 }
 
 }  // namespace

@@ -32,6 +32,7 @@ Command add_clean(CLI::App& program);
 Command add_bench(CLI::App& program);
 Command add_check(CLI::App& program);
 Command add_evaluate(CLI::App& program);
+Command add_export(CLI::App& program);
 
 /// Where a scene's photographs, cameras and masks are: --images, --cameras, --masks, --mask …
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask);

@@ -13,7 +13,7 @@ Command add_info(CLI::App& program) {
     auto file = std::make_shared<std::string>();
     CLI::App* app = program.add_subcommand("info", "grids, cameras and meshes in words");
     app->fallthrough();
-    app->add_option("file", *file, ".vdb, .ply, .obj, .stl, a camera file, a scene or a result")->required();
+    app->add_option("file", *file, ".vdb, .nvdb, .ply, .obj, .stl, a camera file, a scene or a result")->required();
     return {app, [file](Common& common, Progress& progress) {
                 const std::string text = info_json(*file, progress);
                 if (common.json == "-") {

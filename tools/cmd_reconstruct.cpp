@@ -140,12 +140,16 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         }, "pixels a side of a distance field's sample: auto (at least 2.5 samples to a voxel) or 1, 2, 4 …")->default_str("auto")->group("Carving");
         app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
         static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
-        app->add_option("--backend", o.backend, "auto, cpu or cuda")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case))->group("Carving");
+        app->add_option("--backend", o.backend, "auto (a GPU where there is one), cpu or cuda; the result is the same")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case))->group("Carving");
+        app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Carving");
         app->add_option_function<std::string>("--memory-limit", [raw](const std::string& text) { raw->options.memory_limit = bytes_of("--memory-limit", text); },
                                               "resident memory that may be used, like 8G or 500M (default: nine tenths of the machine's)");
         app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
     }
     if (last == LastStage::Export) {
+        static const std::map<std::string, Mesher> meshers{{"dual", Mesher::Dual}, {"marching-cubes", Mesher::MarchingCubes}};
+        app->add_option("--mesher", o.mesher, "dual (OpenVDB's, default) or marching-cubes")->transform(CLI::CheckedTransformer(meshers, CLI::ignore_case))->group("Result");
+        app->add_flag("--normals", o.normals, "vertex normals from the volume's gradient, in mesh.ply (--mesher marching-cubes)")->group("Result");
         app->add_option("--adaptivity", o.adaptivity, "0: uniform mesh; up to 1: larger faces where flat")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Result");
         app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,stl")->delimiter(',')->capture_default_str()->group("Result");
     }

@@ -106,7 +106,7 @@ int main(int argc, char** argv) {
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
     std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_bench(program)};
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_bench(program)};
     try {
         program.parse(argc, argv);
     } catch (const Error& e) {  // a value that an option's own reader refused

@@ -15,6 +15,7 @@
 #include <string>
 #include <vector>
 
+#include "vdbcarve/backend.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
@@ -57,6 +58,8 @@ struct CarveOptions {
     bool occupancy = false;       ///< the paper's binary model: nearest pixel >= 1/2 in every view
     bool allow_empty = false;     ///< an empty hull is a result, not an error
     std::optional<IndexBox> brick;  ///< carve this part only; limits are multiples of 8
+    Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
+    int device = 0;                  ///< number of the CUDA device
 };
 
 struct CarveStatistics {

@@ -9,16 +9,16 @@
 #include <string>
 #include <vector>
 
+#include "vdbcarve/backend.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/mask.h"
+#include "vdbcarve/mesh.h"
 #include "vdbcarve/progress.h"
 #include "vdbcarve/triangle_mesh.h"
 #include "vdbcarve/views.h"
 
 namespace vdbcarve {
-
-enum class Backend { Auto, Cpu, Cuda };
 
 /// The last stage to run.
 enum class LastStage { Mask, Carve, Export };
@@ -42,6 +42,8 @@ struct ReconstructOptions {
     bool occupancy = false;
     int half_width_vox = 3;
     double adaptivity = 0;
+    Mesher mesher = Mesher::Dual;
+    bool normals = false;                            ///< of the mesh, Mesher::MarchingCubes
 
     /// Resident memory that may be used, bytes; 0: nine tenths of the machine's. Fields are made in batches and the hull
     /// is carved in bricks where it would not do otherwise.
@@ -50,6 +52,7 @@ struct ReconstructOptions {
     std::filesystem::path output;
     std::vector<std::string> mesh_formats{"ply"};
     Backend backend = Backend::Auto;
+    int device = 0;                                  ///< number of the CUDA device
     LastStage last_stage = LastStage::Export;
     bool force = false;                              ///< write into a folder that vdbcarve did not make
     bool dry_run = false;                            ///< plan only

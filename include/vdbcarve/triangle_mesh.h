@@ -14,6 +14,7 @@ namespace vdbcarve {
 struct Mesh {
     std::vector<std::array<float, 3>> vertices;       ///< world units
     std::vector<std::array<uint32_t, 3>> triangles;   ///< counter-clockwise seen from outside
+    std::vector<std::array<float, 3>> normals{};      ///< unit, outward, one a vertex; or none
 };
 
 struct MeshMeasures {
@@ -35,7 +36,7 @@ MeshMeasures measure(const Mesh& mesh);
 /// Reads .ply, .obj, .stl and .off; polygons are cut into fans. Throws InputError.
 Mesh read_mesh(const std::filesystem::path& file);
 
-/// Writes .ply (binary little-endian, vertices x y z, triangles), .obj or .stl (binary) by extension;
+/// Writes .ply (binary little-endian, vertices x y z [nx ny nz], triangles), .obj or .stl (binary) by extension;
 /// appears by rename. OBJ is turned from `up` ("x", "y", "z", "-x" …; empty: as it is) to y up, the others keep
 /// the scene's axes. Throws OutputError, and UsageError for another extension.
 void write_mesh(const std::filesystem::path& file, const Mesh& mesh, const std::string& up = {});

@@ -11,6 +11,7 @@
 #include <cstdint>
 
 #include "vdbcarve/kernel/host_device.h"
+#include "vdbcarve/kernel/min_max.h"
 
 namespace vdbcarve::kernel {
 
@@ -40,17 +41,25 @@ struct FieldView {
     float left, top, right, bottom;
 };
 
-/// One view, ready to be asked. Trivially copyable; the pointers are borrowed. Pixels are those of the field,
-/// which may be coarser than the photograph's (DistanceOptions::scale).
-struct CarveView {
-    /// Row-major 3x4: camera-space point (world units) = matrix * (i, j, k, 1), index coordinates.
-    double camera_from_index[12];
+struct Vec3 {
+    float x, y, z;
+};
+
+/// From camera space to the image. Pixels are those of the field, which may be coarser than the photograph's
+/// (DistanceOptions::scale).
+struct Projection {
     /// Pixel = [fx skew; 0 fy] * (X/Z, Y/Z) + (cx, cy); orthographic: without the division by Z.
     float fx, skew, fy, cx, cy;
     /// Largest singular value of [fx skew; 0 fy], in pixels: no direction is magnified more.
     float sigma_max;
-    float frame_width, frame_height;  ///< of the photograph's frame; need not be whole
     int orthographic;
+};
+
+/// One view, ready to be asked. Trivially copyable; the pointers are borrowed.
+struct CarveView : Projection {
+    /// Row-major 3x4: camera-space point (world units) = matrix * (i, j, k, 1), index coordinates.
+    double camera_from_index[12];
+    float frame_width, frame_height;  ///< of the photograph's frame; need not be whole
     Outside outside;
     FieldView silhouette;
     /// Signed distance to the ignored region (positive inside it), or none when every pixel of the frame was seen.
@@ -66,14 +75,8 @@ inline constexpr double kFrameSlop_px = 1.0 / 64;
 /// Nearer to the camera plane than this share of a voxel, a view is judged by depth alone.
 inline constexpr float kNearPlane_vox = 1e-3f;
 
-VDBCARVE_HD float min_f(float a, float b) { return b < a ? b : a; }
-VDBCARVE_HD float max_f(float a, float b) { return a < b ? b : a; }
 VDBCARVE_HD double max_d(double a, double b) { return a < b ? b : a; }
 VDBCARVE_HD float clamp_f(float x, float lo, float hi) { return max_f(lo, min_f(x, hi)); }
-
-struct Vec3 {
-    float x, y, z;
-};
 
 /// The affine map from the voxels of one leaf to camera space: the leaf's origin is mapped in double,
 /// so that far-away world origins cost nothing, and voxels inside it are reached by float steps.
@@ -144,10 +147,19 @@ VDBCARVE_HD PatchPlace patch_place(const FieldView& f, float u, float v) {
     return {iy * f.width + ix, x - static_cast<float>(ix), y - static_cast<float>(iy)};
 }
 
+/// Samples do not change while they are read: on the device they may come through the read-only path.
+VDBCARVE_HD int16_t read_sample(const int16_t* p) {
+#if defined(__CUDA_ARCH__)
+    return __ldg(p);
+#else
+    return *p;
+#endif
+}
+
 VDBCARVE_HD Patch fetch_patch(const FieldView& f, float u, float v) {
     const PatchPlace place = patch_place(f, u, v);
     const int16_t* p = f.samples + place.at;
-    return {static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[f.width]), static_cast<float>(p[f.width + 1]), place.a, place.b};
+    return {static_cast<float>(read_sample(p)), static_cast<float>(read_sample(p + 1)), static_cast<float>(read_sample(p + f.width)), static_cast<float>(read_sample(p + f.width + 1)), place.a, place.b};
 }
 
 /// The sample nearest to an image point, in 1/64 px.
@@ -181,7 +193,7 @@ VDBCARVE_HD float interpolate(const Patch& p) {
 
 /// Distance in world units from a camera-space point to the cone over an image line whose distance and
 /// unit normal in the image are given: v = s Z / sqrt(|a|^2 + (a.m)^2), a = A^T n, m = (X/Z, Y/Z).
-VDBCARVE_HD float image_to_world_distance(const CarveView& view, const PixelDistance& d, float mx, float my,
+VDBCARVE_HD float image_to_world_distance(const Projection& view, const PixelDistance& d, float mx, float my,
                                           float depth) {
     if (d.nx == 0.f && d.ny == 0.f) {
         if (view.orthographic) return d.value_px / view.sigma_max;
@@ -201,7 +213,7 @@ struct Projected {
     float u, v;    ///< pixels
 };
 
-VDBCARVE_HD Projected project(const CarveView& view, const Vec3& point_camera) {
+VDBCARVE_HD Projected project(const Projection& view, const Vec3& point_camera) {
     Projected p;
     const float inverse_depth = view.orthographic ? 1.f : 1.f / point_camera.z;
     p.mx = point_camera.x * inverse_depth;
@@ -212,7 +224,7 @@ VDBCARVE_HD Projected project(const CarveView& view, const Vec3& point_camera) {
 }
 
 /// True where a world distance of at least `band` follows from a pixel distance, whatever the normal.
-VDBCARVE_HD bool beyond_band(const CarveView& view, float distance_px, const Projected& p, float depth, float band) {
+VDBCARVE_HD bool beyond_band(const Projection& view, float distance_px, const Projected& p, float depth, float band) {
     if (view.orthographic) return distance_px >= band * view.sigma_max * 1.0001f;
     const float dz = distance_px * depth;
     const float reach = band * view.sigma_max * 1.0001f;
@@ -222,7 +234,7 @@ VDBCARVE_HD bool beyond_band(const CarveView& view, float distance_px, const Pro
 /// The distance, world units, clamped to [-band, band], to the cone over the contour that a patch is a piece
 /// of: image_to_world_distance of the interpolated field and its unit gradient, with one root and one division.
 /// Straight-line code, so that a loop over voxels becomes vectors.
-VDBCARVE_HD float patch_value(const CarveView& view, const Patch& patch, float mx, float my, float depth, float band) {
+VDBCARVE_HD float patch_value(const Projection& view, const Patch& patch, float mx, float my, float depth, float band) {
     const float gx = (patch.s10 - patch.s00) + patch.b * ((patch.s11 - patch.s01) - (patch.s10 - patch.s00));
     const float gy = (patch.s01 - patch.s00) + patch.a * ((patch.s11 - patch.s10) - (patch.s01 - patch.s00));
     const float norm2 = gx * gx + gy * gy;
@@ -240,8 +252,8 @@ VDBCARVE_HD float patch_value(const CarveView& view, const Patch& patch, float m
 
 /// Signed distance to the silhouette cone alone: beyond the frame the border's pixels are taken to go on.
 /// Needs depth > 0 (perspective).
-VDBCARVE_HD float silhouette_value(const CarveView& view, const Projected& p, float depth, float band) {
-    return patch_value(view, fetch_patch(view.silhouette, p.u, p.v), p.mx, p.my, depth, band);
+VDBCARVE_HD float silhouette_value(const Projection& view, const FieldView& silhouette, const Projected& p, float depth, float band) {
+    return patch_value(view, fetch_patch(silhouette, p.u, p.v), p.mx, p.my, depth, band);
 }
 
 /// What one view says about one point: the signed distance, in world units, to the region that the view
@@ -254,7 +266,7 @@ VDBCARVE_HD float view_value(const CarveView& view, const Vec3& point_camera, fl
     const float depth = point_camera.z;
     if (!view.orthographic && depth <= near_depth) return clamp_f(-depth, -band, band);
     const Projected p = project(view, point_camera);
-    float value = silhouette_value(view, p, depth, band);
+    float value = silhouette_value(view, view.silhouette, p, depth, band);
     const PixelDistance frame = frame_distance(p.u, p.v, view.frame_width, view.frame_height);
     if (!beyond_band(view, -frame.value_px, p, depth, band)) {
         const float frame_world = image_to_world_distance(view, frame, p.mx, p.my, depth);
@@ -396,6 +408,31 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
     else if (-frame_px > frame_reach && -ignored_px > field_reach)
         out.unseen = NodeAnswer::In;
     return out;
+}
+
+/// A cell of a leaf (4 x 4 x 4 voxels) as a view that is clear of its frame there sees it: node_answers in float, with a
+/// looser bound of the ball's projection, padded against rounding. `ball_radius` in world units holds the cell's voxel centres.
+struct CellProbe {
+    float u, v;      ///< image of the cell's centre
+    float reach_px;  ///< farther from the contour than this, all of the cell is
+};
+
+/// Radius of a cell's voxel centres around their middle, in voxels: sqrt(3) * 1.5, rounded up.
+inline constexpr double kCellRadius_vox = 2.5980763 * (1 + 1e-6);
+
+VDBCARVE_HD CellProbe cell_probe(const Projection& view, const Vec3& centre_camera, float ball_radius, float band) {
+    const Projected p = project(view, centre_camera);
+    const float m2 = p.mx * p.mx + p.my * p.my, nearest = 1.f / (centre_camera.z - ball_radius);
+    const float spread = ball_radius * std::sqrt(1.f + m2) * nearest;
+    const float m_max = std::sqrt(m2) + spread;
+    const float world = view.orthographic ? ball_radius + band : spread + band * std::sqrt(1.f + m_max * m_max) * nearest;
+    return {p.u, p.v, view.sigma_max * world * 1.0001f + static_cast<float>(kFieldSlop_px) + 0.01f};
+}
+
+VDBCARVE_HD NodeAnswer cell_answer(const FieldView& silhouette, const CellProbe& probe) {
+    const float s_px = static_cast<float>(nearest_sample(silhouette, probe.u, probe.v)) * (1.f / kFieldUnits);
+    if (probe.reach_px >= silhouette.reach_px) return NodeAnswer::Mixed;
+    return s_px > probe.reach_px ? NodeAnswer::Out : (-s_px > probe.reach_px ? NodeAnswer::In : NodeAnswer::Mixed);
 }
 
 /// Signed distance to an axis-aligned box, world units, positive outside.

@@ -108,4 +108,12 @@ VDBCARVE_HD ContourPieces contour_pieces(uint8_t m00, uint8_t m10, uint8_t m11, 
     return out;
 }
 
+/// FieldView::blocks of a block that is `distance_px` away from the nearest block of the other side: the contour is at most a pixel
+/// from a centre on either side of it, and the offset moves it towards the background.
+VDBCARVE_HD int block_bound(int distance_px, bool inside, double offset_px) {
+    const double away = std::floor((inside ? distance_px + offset_px : distance_px - offset_px) - 1);
+    const int bound = static_cast<int>(away < 0.0 ? 0.0 : (away > 32000.0 ? 32000.0 : away));
+    return inside ? -bound : bound;
+}
+
 }  // namespace vdbcarve::kernel

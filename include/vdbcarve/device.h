@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+// The stages on one CUDA device, each result staying there for the next until it is asked for.
+//
+// The stage functions (distance_fields, carve, level_set, extract_mesh) do one stage and bring its result home; this
+// class is for doing several in a row. Both give the CPU's bits.
+#pragma once
+
+#include <openvdb/openvdb.h>
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "vdbcarve/backend.h"
+#include "vdbcarve/carve.h"
+#include "vdbcarve/distance.h"
+#include "vdbcarve/level_set.h"
+#include "vdbcarve/triangle_mesh.h"
+
+namespace vdbcarve {
+
+/// A NanoVDB grid in host memory, as it lies in a .nvdb file.
+struct NanoBuffer {
+    struct Free {
+        void operator()(uint8_t* p) const { std::free(p); }
+    };
+    std::unique_ptr<uint8_t[], Free> data;  ///< aligned as NanoVDB wants it
+    size_t size = 0;
+};
+
+/// Not for several threads at once. Memory on the device is kept for the next run of the same stage. All functions throw
+/// BackendError for errors of CUDA, its want of memory included.
+class DevicePipeline {
+  public:
+    /// Throws BackendError where the device is not there.
+    explicit DevicePipeline(int device = 0);
+    ~DevicePipeline();
+    DevicePipeline(DevicePipeline&&) noexcept;
+    DevicePipeline& operator=(DevicePipeline&&) noexcept;
+
+    /// Masks to the device, then their fields. The masks stay: distance() can be called again. Views without a mask have no field.
+    void upload(const std::vector<MaskView>& masks);
+    void distance(const DistanceOptions& options);
+    std::vector<DistanceField> fields() const;
+    /// The inputs' fields to the device, instead.
+    void set_fields(const std::vector<CarveInput>& inputs);
+
+    /// Carves from the fields on the device; inputs[i] is the camera of field i, its own field is not looked at.
+    /// Errors like carve(). Statistics of the tree (active voxels, bytes) are left out.
+    CarveStatistics carve(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress);
+    openvdb::FloatGrid::Ptr hull() const;
+    openvdb::MaskGrid::Ptr occupancy() const;
+    /// A hull of elsewhere to the device, instead.
+    void set_hull(const openvdb::FloatGrid& hull);
+
+    /// Re-distances the hull; the hull stays. Errors like level_set().
+    void level_set(const LevelSetOptions& options);
+    openvdb::FloatGrid::Ptr surface() const;
+    void set_surface(const openvdb::FloatGrid& surface);
+
+    /// Marching cubes of the surface, on the device (false where only the host's way through can, see cuda/mesh_cuda.h), and home.
+    bool extract_mesh(bool normals);
+    Mesh mesh(bool normals);
+    /// What extract_mesh() made, home.
+    Mesh fetch_mesh(bool normals);
+
+    /// The NanoVDB grids as the device built them, with statistics and checksum filled in: valid, and the bytes of to_nanovdb().
+    NanoBuffer hull_nanovdb() const;
+    NanoBuffer surface_nanovdb() const;
+    /// The hull's bytes as they lie on the device, unfinished.
+    NanoBuffer hull_bytes() const;
+
+    /// Device time of every step since the last call of clear_times(), in milliseconds. Waits for the device.
+    std::vector<std::pair<std::string, double>> milliseconds() const;
+    void clear_times();
+    /// Bytes that the stages hold on the device.
+    size_t bytes() const;
+    /// Bytes that were free before the first of them.
+    size_t free_bytes() const;
+    void wait() const;
+
+  private:
+    struct Parts;
+    std::unique_ptr<Parts> parts_;
+};
+
+}  // namespace vdbcarve

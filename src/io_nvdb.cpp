@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <nanovdb/util/GridChecksum.h>
+#include <nanovdb/util/GridStats.h>
+#include <nanovdb/util/GridValidator.h>
+#include <nanovdb/util/IO.h>
+#include <nanovdb/util/NanoToOpenVDB.h>
+#include <nanovdb/util/OpenToNanoVDB.h>
+
+#include <cstring>
+
+#include "atomic_file.h"
+#include "nanovdb_bytes.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/export.h"
+
+namespace vdbcarve {
+
+namespace fs = std::filesystem;
+using Handle = nanovdb::GridHandle<nanovdb::HostBuffer>;
+
+namespace {
+
+nanovdb::NanoGrid<float>* grid_in(const NanoBuffer& buffer) { return reinterpret_cast<nanovdb::NanoGrid<float>*>(buffer.data.get()); }
+
+Handle handle_of(const openvdb::FloatGrid& grid) {
+    return nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::All, nanovdb::ChecksumMode::Full);
+}
+
+}  // namespace
+
+void finish_nanovdb(NanoBuffer& buffer, const openvdb::math::Transform& transform) {
+    nanovdb::NanoGrid<float>* grid = grid_in(buffer);
+    const openvdb::math::Mat4d matrix = transform.baseMap()->getAffineMap()->getMat4();
+    grid->data()->mMap.set(matrix, matrix.inverse(), 1.0);
+    grid->data()->mVoxelSize = nanovdb::Vec3R(transform.baseMap()->getAffineMap()->voxelSize()[0]);
+    nanovdb::TreeData<3>* tree = grid->tree().data();
+    // No tile is active in a narrow band.
+    uint64_t active = 0;
+    const nanovdb::NanoLeaf<float>* leaf = grid->tree().getFirstNode<0>();
+    for (uint32_t n = 0; n < tree->mNodeCount[0]; ++n) active += leaf[n].valueMask().countOn();
+    tree->mVoxelCount = active;
+    nanovdb::gridStats(*grid, nanovdb::StatsMode::All);
+    nanovdb::updateChecksum(*grid, nanovdb::ChecksumMode::Full);
+}
+
+NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid) {
+    const Handle handle = handle_of(grid);
+    NanoBuffer out;
+    out.size = handle.size();
+    out.data.reset(static_cast<uint8_t*>(std::aligned_alloc(64, (out.size + 63) / 64 * 64)));
+    std::memcpy(out.data.get(), handle.data(), out.size);
+    return out;
+}
+
+std::string invalid_nanovdb(const NanoBuffer& buffer) { return nanovdb::GridValidator<float>::check(*grid_in(buffer), true); }
+
+void write_nvdb(const fs::path& file, const std::vector<openvdb::FloatGrid::ConstPtr>& grids) {
+    if (grids.empty()) throw UsageError(file.string() + ": no float grid to write");
+    std::vector<Handle> handles;
+    for (const auto& grid : grids) handles.push_back(handle_of(*grid));
+    AtomicFile target(file);
+    try {
+        nanovdb::io::writeGrids(target.stream(), handles, nanovdb::io::Codec::NONE);
+    } catch (const std::exception& e) {
+        throw OutputError(file.string() + ": cannot be written: " + e.what());
+    }
+    target.commit();
+}
+
+std::vector<openvdb::FloatGrid::Ptr> read_nvdb(const fs::path& file) {
+    if (!fs::is_regular_file(file)) throw InputError(file.string() + ": no such file");
+    std::vector<openvdb::FloatGrid::Ptr> out;
+    try {
+        for (const Handle& handle : nanovdb::io::readGrids<nanovdb::HostBuffer, std::vector>(file.string())) {
+            if (!handle.grid<float>()) continue;
+            out.push_back(openvdb::gridPtrCast<openvdb::FloatGrid>(nanovdb::nanoToOpenVDB(handle)));
+        }
+    } catch (const std::exception& e) {
+        throw InputError(file.string() + ": is not a .nvdb that can be read: " + e.what());
+    }
+    if (out.empty()) throw InputError(file.string() + ": has no float grid");
+    return out;
+}
+
+}  // namespace vdbcarve

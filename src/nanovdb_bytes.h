@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <openvdb/openvdb.h>
+
+#include "vdbcarve/device.h"
+
+namespace vdbcarve {
+
+/// Fills what a grid built on the device lacks: the affine map as OpenVDB states it, bounding boxes and statistics of all nodes, checksum.
+void finish_nanovdb(NanoBuffer& grid, const openvdb::math::Transform& transform);
+
+/// The grid as NanoVDB, by NanoVDB's own converter.
+NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid);
+
+/// NanoVDB's validator, checksum included. What is wrong, or nothing.
+std::string invalid_nanovdb(const NanoBuffer& grid);
+
+}  // namespace vdbcarve

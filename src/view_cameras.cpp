@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// Apart from views.cpp, which reads pictures.
+#include <algorithm>
+
+#include "vdbcarve/views.h"
+
+namespace vdbcarve {
+
+std::vector<Camera> Views::cameras() const {
+    std::vector<Camera> out;
+    for (const View& v : views) {
+        const auto sitting = std::find_if(sittings.begin(), sittings.end(), [&](const Sitting& s) { return s.id == v.sitting; });
+        Camera camera = v.camera;
+        if (sitting != sittings.end()) {
+            // camera_from_sitting * sitting_from_scene, with depths counted in scene units.
+            const Rigid3 sitting_from_scene = sitting->scene_from_sitting.inverse();
+            camera.camera_from_world = camera.camera_from_world * sitting_from_scene;
+            camera.camera_from_world.translation *= sitting->scale;
+            if (camera.intrinsics.orthographic) {
+                camera.intrinsics.fx /= sitting->scale;
+                camera.intrinsics.fy /= sitting->scale;
+                camera.intrinsics.skew /= sitting->scale;
+            }
+        }
+        out.push_back(camera);
+    }
+    return out;
+}
+
+}  // namespace vdbcarve

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+// The benchmark for a machine that it is carried to: no image codecs, no command-line library. Scenes are packed ones.
+//   vdbcarve_device_bench paper FILE.svg          the paper's table, text and both plots
+//   vdbcarve_device_bench sizes                   18, 36 and 72 views at 512 to 4096, spheres, device only
+//   vdbcarve_device_bench scene FOLDER GRID…      a packed scene, device only
+//   vdbcarve_device_bench hull FOLDER N FILE      carves a packed scene at resolution N on the device and writes the hull as .vdb
+//   vdbcarve_device_bench ceilings                what the device can do at most
+//   vdbcarve_device_bench once GRID               one run of all stages, for a profiler
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+
+#include "device_ceilings.h"
+#include "support/packed_scene.h"
+#include "vdbcarve/bench.h"
+#include "vdbcarve/device.h"
+#include "vdbcarve/export.h"
+
+namespace {
+
+using namespace vdbcarve;
+
+std::array<int, 3> grid_of(const std::string& text) {
+    std::array<int, 3> out{};
+    if (std::sscanf(text.c_str(), "%dx%dx%d", &out[0], &out[1], &out[2]) != 3) throw UsageError("'" + text + "' is no grid");
+    return out;
+}
+
+BenchScene packed(const std::string& folder, int views) {
+    test::PackedScene scene = test::read_packed_scene(folder);
+    BenchScene out;
+    out.name = std::filesystem::path(folder).filename().string();
+    out.bounds = scene.bounds;
+    for (int v = 0; v < views; ++v) {
+        const size_t from = static_cast<size_t>(v) * scene.cameras.size() / static_cast<size_t>(views);
+        out.cameras.push_back(scene.cameras[from]);
+        out.masks.push_back(scene.masks[from]);
+    }
+    return out;
+}
+
+int run(const std::vector<std::string>& words) {
+    Progress progress;
+    progress.on_note = [](const std::string& note) { std::cerr << note << "\n"; };
+    const std::string what = words.empty() ? "" : words[0];
+    BenchOptions o;
+    o.backend = choose_backend(Backend::Cuda, 0);
+    o.cpu = false;
+    if (what == "paper" && words.size() == 2) {
+        o.cpu = o.single_thread = true;
+        o.cases = paper_cases();
+        const BenchResult result = run_bench(o, progress);
+        std::ofstream(words[1]) << bench_svg(result, false);
+        std::ofstream(words[1].substr(0, words[1].rfind('.')) + "_views.svg") << bench_svg(result, true);
+        std::ofstream(words[1].substr(0, words[1].rfind('.')) + ".json") << bench_json(result);
+        std::cout << bench_paper_table(result) << "\n" << bench_table(result);
+    } else if (what == "sizes") {
+        o.cases.clear();
+        o.dense_limit_bytes = size_t{9} << 30;
+        for (const int views : {18, 36, 72})
+            for (const int side : {512, 1024, 2048, 4096}) o.cases.push_back({{side, side / 2, side}, views});
+        std::cout << bench_table(run_bench(o, progress));
+    } else if (what == "scene" && words.size() >= 3) {
+        o.scene = [&](int views) { return packed(words[1], views); };
+        o.cases.clear();
+        const auto views = static_cast<int>(test::read_packed_scene(words[1]).cameras.size());
+        for (size_t n = 2; n < words.size(); ++n) o.cases.push_back({grid_of(words[n]), views});
+        std::cout << bench_table(run_bench(o, progress));
+    } else if (what == "hull" && words.size() == 4) {
+        openvdb::initialize();
+        const test::PackedScene scene = test::read_packed_scene(words[1]);
+        std::vector<MaskView> masks;
+        std::vector<CarveInput> inputs;
+        for (size_t i = 0; i < scene.cameras.size(); ++i) {
+            masks.push_back(view_of(scene.masks[i]));
+            inputs.push_back({scene.names[i], scene.cameras[i], nullptr});
+        }
+        CarveOptions c;
+        c.bounds_world = scene.bounds;
+        c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / std::stoi(words[2]);
+        const FieldPlan plan = plan_fields(scene.cameras, c);
+        DistanceOptions d;
+        d.scale = plan.scale;
+        d.reach_samples = plan.reach_samples;
+        openvdb::FloatGrid::Ptr hull;
+        if (std::getenv("VDBCARVE_ON_CPU")) {
+            const auto fields = distance_fields(masks, d, progress);
+            for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
+            hull = carve(inputs, c, progress).hull;
+        } else {
+            DevicePipeline device;
+            device.upload(masks);
+            device.distance(d);
+            device.carve(inputs, c, progress);
+            hull = device.hull();
+        }
+        VdbMetadata metadata;
+        metadata.voxel_size = c.lattice.voxel_size;
+        write_vdb(words[3], {hull}, metadata);
+    } else if (what == "ceilings") {
+        const test::DeviceCeilings c = test::measure_ceilings();
+        std::printf("copy within the device %.0f GB/s (read + written), upload %.1f GB/s, separate float operations %.0f G warp instructions/s\n", c.copy_gb_s, c.upload_gb_s, c.instructions_g_s);
+    } else if (what == "once" && words.size() == 2) {
+        o.cases = {{grid_of(words[1]), 36}};
+        o.dense = false;
+        std::cout << bench_table(run_bench(o, progress));
+    } else {
+        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | ceilings | once GRID\n";
+        return 2;
+    }
+    return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    try {
+        return run({argv + 1, argv + argc});
+    } catch (const Error& e) {
+        std::fprintf(stderr, "vdbcarve_device_bench: %s\n", e.what());
+        return static_cast<int>(e.code());
+    }
+}

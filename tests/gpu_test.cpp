@@ -1,0 +1,304 @@
+// SPDX-License-Identifier: Apache-2.0
+// The device's results against the CPU's, bit for bit, stage by stage. Without a device these tests are skipped and say why, or
+// fail where VDBCARVE_REQUIRE_GPU=1.
+#include <cstdlib>
+#include <random>
+
+#include "marching_cubes.h"
+#include "nanovdb_bytes.h"
+#include "same_transform.h"
+#include "support/carve_cases.h"
+#include "support/noise_grid.h"
+#include "support/packed_scene.h"
+#include "support/same_grid.h"
+#include "vdbcarve/device.h"
+#include "vdbcarve/level_set.h"
+#include "vdbcarve/mesh.h"
+
+namespace vdbcarve::test {
+namespace {
+
+class Gpu : public testing::Test {
+  protected:
+    static void SetUpTestSuite() { openvdb::initialize(); }
+    void SetUp() override { need_gpu(); }
+    static void need_gpu() {
+        const std::string why = why_no_cuda();
+        if (why.empty()) return;
+        const char* required = std::getenv("VDBCARVE_REQUIRE_GPU");
+        if (required && std::string(required) == "1") FAIL() << why;
+        GTEST_SKIP() << why;
+    }
+    Progress quiet_;
+};
+
+class GpuScenes : public Gpu, public testing::WithParamInterface<CarveCase> {};
+
+void expect_same_field(const SampledField& a, const SampledField& b) {
+    EXPECT_EQ(a.x0, b.x0);
+    EXPECT_EQ(a.y0, b.y0);
+    ASSERT_EQ(a.width, b.width);
+    ASSERT_EQ(a.height, b.height);
+    EXPECT_EQ(a.reach, b.reach);
+    EXPECT_TRUE(std::equal(a.cut, a.cut + 4, b.cut));
+    EXPECT_EQ(a.blocks_per_row, b.blocks_per_row);
+    EXPECT_EQ(a.samples, b.samples);
+    EXPECT_EQ(a.blocks, b.blocks);
+}
+
+void expect_same_mesh(const Mesh& a, const Mesh& b) {
+    EXPECT_GT(a.vertices.size(), 0u);
+    EXPECT_EQ(a.vertices, b.vertices);
+    EXPECT_EQ(a.triangles, b.triangles);
+    EXPECT_EQ(a.normals, b.normals);
+}
+
+/// The device's grid is what NanoVDB makes of the CPU's, to the byte, and valid.
+void expect_nanovdb_of(const openvdb::FloatGrid& grid, const NanoBuffer& found) {
+    EXPECT_EQ(invalid_nanovdb(found), "");
+    const NanoBuffer expected = to_nanovdb(grid);
+    ASSERT_EQ(found.size, expected.size);
+    std::string differing;
+    size_t count = 0;
+    for (size_t n = 0; n < found.size; ++n)
+        if (found.data[n] != expected.data[n] && count++ < 20) differing += " " + std::to_string(n);
+    EXPECT_EQ(count, 0u) << "bytes" << differing << " of " << found.size;
+}
+
+openvdb::FloatGrid::Ptr copy_of(const openvdb::FloatGrid& grid) {
+    openvdb::FloatGrid::Ptr out = grid.deepCopy();
+    out->setTransform(same_transform(grid.transform()));
+    return out;
+}
+
+Mask random_mask(int width, int height, uint32_t seed, bool soft, bool ignores) {
+    std::mt19937 random(seed);
+    Mask out;
+    out.coverage = Image8(width, height);
+    for (int blob = 0; blob < 4; ++blob) {
+        const double cx = static_cast<double>(random() % static_cast<unsigned>(width)), cy = static_cast<double>(random() % static_cast<unsigned>(height)), r = 3 + random() % 20;
+        for (int y = 0; y < height; ++y)
+            for (int x = 0; x < width; ++x) {
+                const double c = std::clamp(r - std::hypot(x - cx, y - cy) + 0.5, 0.0, 1.0);
+                out.coverage.at(x, y) = std::max(out.coverage.at(x, y), static_cast<uint8_t>(soft ? 255 * c : (c >= 0.5 ? 255 : 0)));
+            }
+    }
+    for (int n = 0; n < 60; ++n) out.coverage.data[random() % out.coverage.data.size()] = static_cast<uint8_t>(random() % 256);
+    if (ignores) {
+        out.ignore = Image8(width, height);
+        for (int y = height / 3; y < height / 2; ++y)
+            for (int x = 0; x < width / 2; ++x) out.ignore.at(x, y) = 1;
+    }
+    return out;
+}
+
+TEST_F(Gpu, DistanceFieldsEqualTheCpus) {
+    std::vector<Mask> masks;
+    for (uint32_t seed = 0; seed < 12; ++seed) masks.push_back(random_mask(33 + 29 * static_cast<int>(seed), 140 - 9 * static_cast<int>(seed), seed, seed % 2, seed % 3 == 2));
+    masks.push_back({Image8(40, 30), {}});
+    masks.push_back({Image8(40, 30, 1, 255), {}});
+    masks.push_back(random_mask(1024, 768, 99, true, false));
+    masks.push_back({});
+    std::vector<MaskView> views;
+    for (const Mask& m : masks) views.push_back(view_of(m));
+    for (const double reach : {4.0, 9.0, 31.5, 190.0, 500.0})
+        for (const int scale : {1, 2, 3})
+            for (const double offset : {0.0, 2.25, -1.5})
+                for (const bool conservative : {false, true}) {
+                    SCOPED_TRACE("reach " + std::to_string(reach) + ", scale " + std::to_string(scale) + ", offset " + std::to_string(offset));
+                    DistanceOptions o;
+                    o.reach_samples = reach;
+                    o.scale = scale;
+                    o.silhouette_offset_px = offset;
+                    o.conservative = conservative;
+                    const std::vector<DistanceField> cpu = distance_fields(views, o, quiet_);
+                    o.backend = Backend::Cuda;
+                    const std::vector<DistanceField> gpu = distance_fields(views, o, quiet_);
+                    ASSERT_EQ(cpu.size(), gpu.size());
+                    for (size_t v = 0; v < cpu.size(); ++v) {
+                        SCOPED_TRACE("mask " + std::to_string(v));
+                        EXPECT_TRUE(std::equal(cpu[v].object_box, cpu[v].object_box + 4, gpu[v].object_box));
+                        EXPECT_EQ(cpu[v].scale, gpu[v].scale);
+                        EXPECT_EQ(cpu[v].mask_width, gpu[v].mask_width);
+                        expect_same_field(cpu[v].silhouette, gpu[v].silhouette);
+                        expect_same_field(cpu[v].ignored, gpu[v].ignored);
+                        if (HasFailure()) return;
+                    }
+                }
+}
+
+TEST_P(GpuScenes, HullLevelSetAndMeshEqualTheCpus) {
+    const Shoot s = GetParam().make();
+    CarveOptions o = options_for(s, GetParam().resolution);
+    GetParam().change(o);
+    const CarveResult cpu = carve(s.inputs, o, quiet_);
+    ASSERT_EQ(cpu.backend_used, "cpu");
+    o.backend = Backend::Cuda;
+    const CarveResult gpu = carve(s.inputs, o, quiet_);
+    ASSERT_EQ(gpu.backend_used, "cuda");
+    expect_same(*cpu.hull, *gpu.hull);
+    EXPECT_EQ(cpu.statistics.leaves, gpu.statistics.leaves);
+    EXPECT_EQ(cpu.statistics.inside_voxels, gpu.statistics.inside_voxels);
+    EXPECT_EQ(cpu.statistics.clipped_share, gpu.statistics.clipped_share);
+    EXPECT_EQ(cpu.statistics.active_voxels, gpu.statistics.active_voxels);
+    EXPECT_GT(gpu.statistics.voxel_lookups, 0u);
+
+    // The same without coming home between stages, from the masks.
+    DevicePipeline device;
+    std::vector<MaskView> masks;
+    for (const Mask& m : s.scene.masks) masks.push_back(view_of(m));
+    device.upload(masks);
+    device.distance({});
+    device.carve(s.inputs, o, quiet_);
+    expect_same(*cpu.hull, *device.hull());
+    expect_nanovdb_of(*cpu.hull, device.hull_nanovdb());
+    LevelSetOptions l;
+    l.half_width_vox = o.half_width_vox;
+    const auto surface = level_set(copy_of(*cpu.hull), l, quiet_);
+    device.level_set(l);
+    expect_same(*surface, *device.surface());
+    expect_nanovdb_of(*surface, device.surface_nanovdb());
+    l.backend = Backend::Cuda;
+    expect_same(*surface, *level_set(copy_of(*cpu.hull), l, quiet_));
+    for (const bool normals : {false, true}) {
+        const Mesh mesh = marching_cubes(*surface, normals);
+        expect_same_mesh(mesh, device.mesh(normals));
+        MeshOptions m;
+        m.mesher = Mesher::MarchingCubes;
+        m.normals = normals;
+        m.backend = Backend::Cuda;
+        expect_same_mesh(mesh, extract_mesh(*surface, m, quiet_));
+        EXPECT_TRUE(measure(mesh).manifold);
+    }
+    // Again on the same buffers.
+    device.carve(s.inputs, o, quiet_);
+    expect_same(*cpu.hull, *device.hull());
+}
+
+TEST_P(GpuScenes, OccupancyEqualsTheCpus) {
+    const Shoot s = GetParam().make();
+    CarveOptions o = options_for(s, GetParam().resolution);
+    GetParam().change(o);
+    o.occupancy = true;
+    const CarveResult cpu = carve(s.inputs, o, quiet_);
+    o.backend = Backend::Cuda;
+    const CarveResult gpu = carve(s.inputs, o, quiet_);
+    EXPECT_EQ(gpu.backend_used, "cuda");
+    EXPECT_TRUE(cpu.occupancy->tree().hasSameTopology(gpu.occupancy->tree()));
+    EXPECT_EQ(cpu.occupancy->activeVoxelCount(), gpu.occupancy->activeVoxelCount());
+    EXPECT_EQ(cpu.occupancy->tree().nodeCount(), gpu.occupancy->tree().nodeCount());
+    LevelSetOptions l;
+    const auto surface = level_set_of_occupancy(*cpu.occupancy, l, quiet_);
+    l.backend = Backend::Cuda;
+    expect_same(*surface, *level_set_of_occupancy(*gpu.occupancy, l, quiet_));
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, GpuScenes, testing::ValuesIn(carve_cases()), [](const auto& instance) { return instance.param.name; });
+
+TEST_F(Gpu, BricksManyViewsAndManyMissesEqualTheCpus) {
+    Shoot s = shoot(small_spec("ellipsoids", 8));
+    CarveOptions o = options_for(s, 80);
+    o.brick = IndexBox{{-104, -24, 0}, {-8, 16, 104}};
+    const auto both = [&] {
+        o.backend = Backend::Cpu;
+        const auto cpu = carve(s.inputs, o, quiet_).hull;
+        o.backend = Backend::Cuda;
+        expect_same(*cpu, *carve(s.inputs, o, quiet_).hull);
+        o.occupancy = true;
+        o.backend = Backend::Cpu;
+        const auto bits = carve(s.inputs, o, quiet_).occupancy;
+        o.backend = Backend::Cuda;
+        EXPECT_TRUE(bits->tree().hasSameTopology(carve(s.inputs, o, quiet_).occupancy->tree()));
+        o.occupancy = false;
+    };
+    both();
+    s = shoot(small_spec("ellipsoids", 150, 64, 48));
+    o = options_for(s, 32);
+    both();
+    o.max_misses = 15;
+    both();
+    // Blocks of 128^3 in several upper nodes, at negative indices.
+    s = shoot(small_spec("torus", 10));
+    o = options_for(s, 300);
+    both();
+    o.lattice.origin_world = Vec3d(-4096.5, 4090, 8200) * o.lattice.voxel_size;
+    both();
+}
+
+TEST_F(Gpu, NoiseMeshesAndLevelSetsEqualTheCpus) {
+    for (const bool smooth : {false, true})
+        for (const bool tiny : {false, true}) {
+            const auto grid = noise_grid(44, smooth, tiny, 7);
+            DevicePipeline device;
+            device.set_surface(*grid);
+            expect_nanovdb_of(*grid, device.surface_nanovdb());
+            expect_same_mesh(marching_cubes(*grid, true), device.mesh(true));
+            device.set_hull(*grid);
+            device.level_set({});
+            // Compared as it lies on the device: noise has no inside and outside for tiles to follow.
+            expect_nanovdb_of(*level_set(copy_of(*grid), {}, quiet_), device.surface_nanovdb());
+        }
+}
+
+TEST_F(Gpu, AnEmptyHullIsExplainedAlike) {
+    Shoot s = shoot(small_spec("ellipsoids", 8), [](SyntheticScene& scene) { std::fill(scene.masks[3].coverage.data.begin(), scene.masks[3].coverage.data.end(), uint8_t{0}); });
+    CarveOptions o = options_for(s, 48);
+    const std::string cpu = error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); });
+    o.backend = Backend::Cuda;
+    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); }));
+}
+
+// Scenes that were packed for this machine (tests/pack_scene.cpp): real photographs' masks, at a resolution people use.
+TEST_F(Gpu, PackedScenesEqualTheCpus) {
+    const char* folder = std::getenv("VDBCARVE_PACKED_SCENES");
+    if (!folder) GTEST_SKIP() << "VDBCARVE_PACKED_SCENES names no folder";
+    for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+        SCOPED_TRACE(entry.path().filename().string());
+        const PackedScene scene = read_packed_scene(entry.path());
+        std::vector<MaskView> masks;
+        std::vector<CarveInput> inputs;
+        for (size_t i = 0; i < scene.cameras.size(); ++i) {
+            masks.push_back(view_of(scene.masks[i]));
+            inputs.push_back({scene.names[i], scene.cameras[i], nullptr});
+        }
+        CarveOptions o;
+        o.bounds_world = scene.bounds;
+        o.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / 512;
+        const FieldPlan plan = plan_fields(scene.cameras, o);
+        DistanceOptions d;
+        d.scale = plan.scale;
+        d.reach_samples = plan.reach_samples;
+        const std::vector<DistanceField> fields = distance_fields(masks, d, quiet_);
+        for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
+        const auto hull = carve(inputs, o, quiet_).hull;
+        DevicePipeline device;
+        device.upload(masks);
+        device.distance(d);
+        device.carve(inputs, o, quiet_);
+        expect_same(*hull, *device.hull());
+        const auto surface = level_set(hull, {}, quiet_);
+        device.level_set({});
+        expect_same(*surface, *device.surface());
+        expect_nanovdb_of(*surface, device.surface_nanovdb());
+        const Mesh mesh = marching_cubes(*surface, false);
+        expect_same_mesh(mesh, device.mesh(false));
+        const MeshMeasures m = measure(mesh);
+        std::printf("%s: %u leaves, %zu vertices, manifold %d, volume %.9g\n", entry.path().filename().c_str(), surface->tree().leafCount(), m.vertices, m.manifold, m.volume);
+    }
+}
+
+// On any machine.
+TEST(Backend, SaysWhatIsMissing) {
+    if (!why_no_cuda().empty()) {
+        EXPECT_EQ(choose_backend(Backend::Auto, 0), Backend::Cpu);
+        EXPECT_NE(error_of(ExitCode::Backend, [] { choose_backend(Backend::Cuda, 0); }).find("Remedy: --backend cpu"), std::string::npos);
+        EXPECT_THROW(DevicePipeline(0), BackendError);
+    } else {
+        EXPECT_EQ(choose_backend(Backend::Auto, 0), Backend::Cuda);
+        EXPECT_NE(error_of(ExitCode::Backend, [] { choose_backend(Backend::Cuda, 99); }).find("--device 99"), std::string::npos);
+    }
+    EXPECT_EQ(choose_backend(Backend::Cpu, 7), Backend::Cpu);
+}
+
+}  // namespace
+}  // namespace vdbcarve::test
