@@ -11,6 +11,7 @@
 namespace vdbcarve::cuda {
 
 [[noreturn]] inline void fail(cudaError_t error, const char* call, const char* file, int line) {
+    (void)cudaGetLastError();  // or the next launch would be blamed for it
     const std::string full(file);
     const std::string where = full.substr(full.rfind('/') + 1) + ":" + std::to_string(line);
     const std::string remedy = error == cudaErrorMemoryAllocation ? ". Remedy: fewer voxels (--resolution), coarser fields (--field-scale), or --backend cpu" : "";

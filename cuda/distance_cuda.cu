@@ -69,7 +69,7 @@ __global__ void set_ignored(const IgnoreJob* jobs) {
     }
 }
 
-/// Sixteen pixels a load: images start at multiples of 16 and are padded to them with background.
+/// Sixteen pixels a load: images start at multiples of 16 and may be read up to the next one; what lies there is left out.
 __global__ void object_boxes(const BoxJob* jobs, ObjectBox* boxes) {
     const BoxJob job = jobs[blockIdx.z];
     const int count = job.width * job.height, quads = (count + 15) / 16;
@@ -373,6 +373,7 @@ void DistanceStage::begin_upload(const std::vector<HostMask>& masks, size_t byte
 
 std::vector<ObjectBox> DistanceStage::prepare(int scale, bool conservative, const Stream& stream) {
     const size_t n = geometry_.size();
+    if (n == 0) return {};
     stream.wait();  // jobs made before may still be on their way from host memory
     const auto up = [](size_t bytes) { return (bytes + 15) / 16 * 16; };
     // Where prepared images lie: coarse coverage, coarse ignore, then coverage with ignored as object, and what is seen.
@@ -450,6 +451,8 @@ std::vector<ObjectBox> DistanceStage::prepare(int scale, bool conservative, cons
 }
 
 std::vector<DeviceField> DistanceStage::make(const std::vector<FieldJob>& jobs, const Stream& stream) {
+    if (jobs.empty()) return {};
+    stream.wait();  // the host's list of jobs is written anew
     size_t samples = 0, blocks = 0, tiles = 0;
     // The last rows of flags of a thread's 32 rows may lie beyond the window.
     const auto tiles_of = [](const WindowJob& w) { return static_cast<size_t>(w.tiles_across) * 2 * static_cast<size_t>(blocks_for(w.height, kRows)) * (kRows / 8); };

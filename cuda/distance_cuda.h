@@ -46,9 +46,9 @@ class DistanceStage {
     void upload(const std::vector<HostMask>& masks, const Copy& copy, const Stream& stream) {
         size_t bytes = 0;
         for (const HostMask& m : masks) bytes += (m.ignore ? 2 : 1) * padded(m);
+        stream.wait();  // an upload before this one may still read the staging memory
         uint8_t* staged = staging_.ensure(bytes);
         begin_upload(masks, bytes);
-        stream.wait();  // an upload before this one may still read the staging memory
         copy(masks, [&](size_t view, bool ignore) { return staged + offset_of(view, ignore); });
         stream.to_device(masks_.data(), staged, bytes);
     }

@@ -261,11 +261,12 @@ void Topology::cover(std::vector<std::array<int, 3>> origins, const Stream& stre
         const auto ua = upper_of(a), ub = upper_of(b);
         return ua != ub ? ua < ub : a < b;
     });
-    if (origins == origins_) {  // as for the run before: the tables are there
+    if (ready_ && origins == origins_) {  // as for the run before: the tables are there
         stream.zero(leaves_.data(), origins_.size() * kBlockWords);
         stream.zero(inside_.data(), origins_.size() * kBlockWords);
         return;
     }
+    ready_ = false;
     origins_ = std::move(origins);
     uppers_.clear();
     upper_first_.clear();
@@ -314,10 +315,16 @@ void Topology::upload(const Stream& stream) {
     stream.zero(leaves_.data(), n * kBlockWords);
     stream.zero(inside_.data(), n * kBlockWords);
     stream.wait();  // `four` goes away
+    ready_ = true;
 }
 
 void Topology::number_leaves(const Stream& stream) {
     const int n = static_cast<int>(origins_.size()), uppers = static_cast<int>(uppers_.size());
+    if (n == 0) {
+        stream.wait();
+        std::fill_n(counts_.data(), 3, 0u);
+        return;
+    }
     count_leaves<<<blocks_for(static_cast<size_t>(n) * 32, 256), 256, 0, stream.get()>>>(leaves_.data(), n, word_first_.data(), first_.data());
     VDBCARVE_LAUNCHED();
     scan_blocks<<<1, kScanThreads, 0, stream.get()>>>(first_.data(), n, lower_.data(), lower_block_.data(), device_upper_first_.data(), uppers, device_counts_.data());

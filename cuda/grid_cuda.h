@@ -90,6 +90,7 @@ class Topology {
     std::vector<uint32_t> upper_first_;       ///< first block of each, and one past the last
     std::vector<int> lookup_;
     int lo_[3] = {}, size_[3] = {};
+    bool ready_ = false;  ///< the device has the tables of origins_
     PinnedBuffer<uint32_t> counts_;  ///< leaves, lower nodes; then the lower nodes before each upper node's blocks, and all
     DeviceBuffer<int4> device_origins_;
     DeviceBuffer<int> block_at_;

@@ -193,8 +193,13 @@ __global__ void __launch_bounds__(kLeafVoxels) emit(const nanovdb::NanoGrid<floa
 
 bool MeshStage::run(const Grid& surface, const Topology& topology, const std::array<MarchingCase, 256>& cases, bool normals, const Stream& stream, StageTimes& times) {
     vertex_count_ = triangle_count_ = 0;
+    made_ = has_normals_ = false;
     const uint32_t n = surface.leaf_count();
-    if (n == 0) return true;
+    if (n == 0) {
+        made_ = true;
+        has_normals_ = normals;
+        return true;
+    }
     if (!cases_.data()) {
         stream.to_device(cases_.ensure(cases.size()), cases.data(), cases.size());
         stream.wait();
@@ -223,9 +228,9 @@ bool MeshStage::run(const Grid& surface, const Topology& topology, const std::ar
         stream.to_host(totals + 1, first_triangle + n, 1);
         stream.to_host(totals + 2, open_.data(), 1);
         stream.wait();
+        if (totals[2]) return;
         vertex_count_ = totals[0];
         triangle_count_ = totals[1];
-        if (totals[2]) return;
         vertices_.ensure(3 * vertex_count_);
         triangles_.ensure(3 * triangle_count_);
         if (normals) normals_.ensure(3 * vertex_count_);
@@ -234,8 +239,10 @@ bool MeshStage::run(const Grid& surface, const Topology& topology, const std::ar
         (normals ? emit<true> : emit<false>)<<<n, kLeafVoxels, 0, s>>>(surface.grid(), surface.leaves(), view, surface.keys(), cases_.data(), edges_.data(), firsts, first_triangle, frame, vertices_.data(),
                                                                        normals_.data(), triangles_.data());
         VDBCARVE_LAUNCHED();
+        made_ = true;
+        has_normals_ = normals;
     });
-    return totals[2] == 0;
+    return made_;
 }
 
 }  // namespace vdbcarve::cuda

@@ -15,6 +15,8 @@ class MeshStage {
     /// such, and the host's way through handles them. Waits for the device once, for the sizes.
     bool run(const Grid& surface, const Topology& topology, const std::array<kernel::MarchingCase, 256>& cases, bool normals, const Stream& stream, StageTimes& times);
 
+    bool made() const { return made_; }
+    bool has_normals() const { return has_normals_; }
     size_t vertex_count() const { return vertex_count_; }
     size_t triangle_count() const { return triangle_count_; }
     const float* vertices() const { return vertices_.data(); }  ///< x y z, world units
@@ -32,6 +34,7 @@ class MeshStage {
     DeviceBuffer<float> vertices_, normals_;
     DeviceBuffer<uint32_t> triangles_;
     size_t vertex_count_ = 0, triangle_count_ = 0;
+    bool made_ = false, has_normals_ = false;
 };
 
 }  // namespace vdbcarve::cuda

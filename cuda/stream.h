@@ -70,13 +70,12 @@ class StageTimes {
     /// Runs `work`, whose launches are timed together. The times are read later: nothing waits here.
     template <class Work>
     void measure(const char* name, const Stream& stream, const Work& work) {
-        nvtxRangePushA(name);
-        stages_.push_back({name, Event(), Event()});
-        const size_t at = stages_.size() - 1;
-        stages_[at].begin.record(stream);
+        const Range range(name);
+        Stage stage{name, Event(), Event()};
+        stage.begin.record(stream);
         work();
-        stages_[at].end.record(stream);
-        nvtxRangePop();
+        stage.end.record(stream);
+        if (stages_.size() < kMost) stages_.push_back(std::move(stage));  // who never clears them does not want them
     }
     /// Milliseconds of every stage, in order; equal names are summed. Waits for the device.
     std::vector<std::pair<std::string, double>> milliseconds() const {
@@ -95,6 +94,13 @@ class StageTimes {
     }
 
   private:
+    static constexpr size_t kMost = 10000;
+    struct Range {
+        explicit Range(const char* name) { nvtxRangePushA(name); }
+        Range(const Range&) = delete;
+        Range& operator=(const Range&) = delete;
+        ~Range() { nvtxRangePop(); }
+    };
     std::vector<Stage> stages_;
 };
 

@@ -235,7 +235,7 @@ BenchDevice bench_device(const BenchScene& scene, const std::vector<MaskView>& m
         NanoBuffer buffer;
         note("download_hull", wall_ms([&] { buffer = device.hull_bytes(); }));
         note("openvdb_hull", wall_ms([&] { device.hull(); }));
-        if (!options.stages) continue;
+        if (!options.stages || !device.extract_mesh(false)) continue;
         Mesh mesh;
         note("download_mesh", wall_ms([&] { mesh = device.fetch_mesh(false); }));
         out.vertices = mesh.vertices.size();

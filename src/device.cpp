@@ -65,14 +65,6 @@ void DevicePipeline::level_set(const LevelSetOptions&) { absent(); }
 openvdb::FloatGrid::Ptr DevicePipeline::surface() const { absent(); }
 void DevicePipeline::set_surface(const openvdb::FloatGrid&) { absent(); }
 bool DevicePipeline::extract_mesh(bool) { absent(); }
-Mesh DevicePipeline::mesh(bool) { absent(); }
-NanoBuffer DevicePipeline::hull_bytes() const {
-    parts_->use();
-    const auto& volume = parts_->need(parts_->hull, "hull");
-    NanoBuffer out = empty_buffer(volume.grid.size());
-    parts_->fetcher.fetch_to(out.data.get(), volume.grid.grid(), volume.grid.size(), parts_->stream);
-    return out;
-}
 NanoBuffer DevicePipeline::hull_nanovdb() const { absent(); }
 NanoBuffer DevicePipeline::surface_nanovdb() const { absent(); }
 std::vector<std::pair<std::string, double>> DevicePipeline::milliseconds() const { absent(); }
@@ -98,14 +90,6 @@ using Leaf = openvdb::FloatTree::LeafNodeType;
 void copy_parallel(uint8_t* to, const uint8_t* from, size_t bytes) {
     constexpr size_t kPiece = 1 << 19;
     tbb::parallel_for(size_t{0}, (bytes + kPiece - 1) / kPiece, [&](size_t p) { std::memcpy(to + p * kPiece, from + p * kPiece, std::min(kPiece, bytes - p * kPiece)); });
-}
-
-NanoBuffer empty_buffer(size_t size) {
-    NanoBuffer out;
-    out.size = size;
-    out.data.reset(static_cast<uint8_t*>(std::aligned_alloc(64, (size + 63) / 64 * 64)));
-    if (!out.data) throw BackendError("no memory for " + std::to_string(size) + " bytes of volume");
-    return out;
 }
 
 /// Brings device memory home through two pieces of page-locked memory: while one is on its way the other is taken in.
@@ -170,7 +154,10 @@ openvdb::FloatGrid::Ptr to_openvdb(const cuda::Grid& grid, const cuda::Stream& s
 
 std::vector<DeviceInfo> cuda_devices() {
     int count = 0;
-    if (cudaGetDeviceCount(&count) != cudaSuccess) return {};
+    if (cudaGetDeviceCount(&count) != cudaSuccess) {
+        (void)cudaGetLastError();
+        return {};
+    }
     std::vector<DeviceInfo> out;
     for (int d = 0; d < count; ++d) {
         cudaDeviceProp p{};
@@ -183,6 +170,7 @@ std::vector<DeviceInfo> cuda_devices() {
 std::string why_no_cuda() {
     int count = 0;
     const cudaError_t error = cudaGetDeviceCount(&count);
+    (void)cudaGetLastError();
     if (error == cudaSuccess && count > 0) return {};
     return std::string("this machine has no CUDA device that can be used (") + (error == cudaSuccess ? "none found" : cudaGetErrorString(error)) + ")";
 }
@@ -197,7 +185,6 @@ struct DevicePipeline::Parts {
     };
 
     int device;
-    size_t free_before = 0;
     cuda::Stream stream;
     cuda::StageTimes times;
     mutable Fetcher fetcher;
@@ -215,6 +202,7 @@ struct DevicePipeline::Parts {
 
     cuda::CarveStage carve;
     std::optional<CarveOptions> carve_options;
+    std::vector<CarveInput> carve_inputs;  ///< without fields
     Volume hull, surface;
     cuda::LevelSetStage level_set;
     cuda::MeshStage mesh;
@@ -222,10 +210,7 @@ struct DevicePipeline::Parts {
     cuda::DeviceBuffer<uint64_t> uploaded_active;
     cuda::DeviceBuffer<uint32_t> uploaded_keys;
 
-    explicit Parts(int d) : device(select(d)) {
-        size_t total = 0;
-        VDBCARVE_CUDA(cudaMemGetInfo(&free_before, &total));
-    }
+    explicit Parts(int d) : device(select(d)) {}
     static int select(int d) {
         choose_backend(Backend::Cuda, d);
         VDBCARVE_CUDA(cudaSetDevice(d));
@@ -244,6 +229,7 @@ struct DevicePipeline::Parts {
 
     void upload(Volume& volume, const openvdb::FloatGrid& grid) {
         if (grid.getGridClass() != openvdb::GRID_LEVEL_SET) throw InputError("grid '" + grid.getName() + "' is no level set");
+        volume.topology = nullptr;
         volume.transform = same_transform(grid.transform());
         std::vector<const Leaf*> leaves;
         grid.tree().getNodes(leaves);
@@ -306,9 +292,13 @@ struct DevicePipeline::Parts {
         return volume;
     }
 
-    NanoBuffer nanovdb_of(const Volume& volume) const {
-        NanoBuffer out = empty_buffer(volume.grid.size());
+    NanoBuffer bytes_of(const Volume& volume) const {
+        NanoBuffer out = allocate_nanovdb(volume.grid.size());
         fetcher.fetch_to(out.data.get(), volume.grid.grid(), volume.grid.size(), stream);
+        return out;
+    }
+    NanoBuffer nanovdb_of(const Volume& volume) const {
+        NanoBuffer out = bytes_of(volume);
         finish_nanovdb(out, *volume.transform);
         return out;
     }
@@ -324,6 +314,7 @@ void DevicePipeline::upload(const std::vector<MaskView>& masks) {
     p.use();
     p.mask_of.assign(masks.size(), SIZE_MAX);
     p.mask_sizes.clear();
+    p.headers.clear();  // fields of other masks
     std::vector<cuda::HostMask> host;
     for (size_t i = 0; i < masks.size(); ++i) {
         const MaskView& m = masks[i];
@@ -489,8 +480,11 @@ CarveStatistics DevicePipeline::carve(const std::vector<CarveInput>& inputs, con
     job.max = plan.range.max;
     job.occupancy = options.occupancy;
     p.hull.topology = nullptr;
+    p.carve_options.reset();
     p.carve.run(job, p.stream, p.times);
     p.carve_options = options;
+    p.carve_inputs = inputs;
+    for (CarveInput& input : p.carve_inputs) input.field = nullptr;
     progress.step();
     CarveStatistics s;
     if (!options.occupancy) {
@@ -565,7 +559,12 @@ openvdb::MaskGrid::Ptr DevicePipeline::occupancy() const {
                 any = true;
             }
     }
-    if (!any && !options.brick && !options.allow_empty) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: --backend cpu names the views");
+    if (!any && !options.brick && !options.allow_empty) {
+        const std::vector<DistanceField> held = fields();
+        std::vector<CarveInput> inputs = p.carve_inputs;
+        for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &held[i];
+        explain_empty(inputs, options);
+    }
     openvdb::tools::prune(tree);
     return out;
 }
@@ -608,14 +607,10 @@ bool DevicePipeline::extract_mesh(bool normals) {
     return p.mesh.run(volume.grid, *volume.topology, marching_cases(), normals, p.stream, p.times);
 }
 
-Mesh DevicePipeline::mesh(bool normals) {
-    if (!extract_mesh(normals)) return marching_cubes(*surface(), normals);
-    return fetch_mesh(normals);
-}
-
 Mesh DevicePipeline::fetch_mesh(bool normals) {
     Parts& p = *parts_;
     p.use();
+    if (!p.mesh.made() || (normals && !p.mesh.has_normals())) throw UsageError(std::string("the device holds no mesh") + (normals ? " with normals" : ""));
     Mesh out;
     out.vertices.resize(p.mesh.vertex_count());
     out.triangles.resize(p.mesh.triangle_count());
@@ -630,10 +625,7 @@ Mesh DevicePipeline::fetch_mesh(bool normals) {
 
 NanoBuffer DevicePipeline::hull_bytes() const {
     parts_->use();
-    const auto& volume = parts_->need(parts_->hull, "hull");
-    NanoBuffer out = empty_buffer(volume.grid.size());
-    parts_->fetcher.fetch_to(out.data.get(), volume.grid.grid(), volume.grid.size(), parts_->stream);
-    return out;
+    return parts_->bytes_of(parts_->need(parts_->hull, "hull"));
 }
 NanoBuffer DevicePipeline::hull_nanovdb() const {
     parts_->use();
@@ -653,7 +645,12 @@ size_t DevicePipeline::bytes() const {
     const Parts& p = *parts_;
     return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.mesh.bytes() + p.uploaded_values.bytes();
 }
-size_t DevicePipeline::free_bytes() const { return parts_->free_before; }
+size_t DevicePipeline::free_bytes() const {
+    parts_->use();
+    size_t free = 0, total = 0;
+    VDBCARVE_CUDA(cudaMemGetInfo(&free, &total));
+    return free;
+}
 void DevicePipeline::wait() const {
     parts_->use();
     parts_->stream.wait();

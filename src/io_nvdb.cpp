@@ -28,6 +28,14 @@ Handle handle_of(const openvdb::FloatGrid& grid) {
 
 }  // namespace
 
+NanoBuffer allocate_nanovdb(size_t bytes) {
+    NanoBuffer out;
+    out.size = bytes;
+    out.data.reset(static_cast<uint8_t*>(std::aligned_alloc(64, (bytes + 63) / 64 * 64)));
+    if (!out.data) throw OutputError("no memory for a volume of " + std::to_string(bytes) + " bytes");
+    return out;
+}
+
 void finish_nanovdb(NanoBuffer& buffer, const openvdb::math::Transform& transform) {
     nanovdb::NanoGrid<float>* grid = grid_in(buffer);
     const openvdb::math::Mat4d matrix = transform.baseMap()->getAffineMap()->getMat4();
@@ -45,9 +53,7 @@ void finish_nanovdb(NanoBuffer& buffer, const openvdb::math::Transform& transfor
 
 NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid) {
     const Handle handle = handle_of(grid);
-    NanoBuffer out;
-    out.size = handle.size();
-    out.data.reset(static_cast<uint8_t*>(std::aligned_alloc(64, (out.size + 63) / 64 * 64)));
+    NanoBuffer out = allocate_nanovdb(handle.size());
     std::memcpy(out.data.get(), handle.data(), out.size);
     return out;
 }

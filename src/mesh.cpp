@@ -16,13 +16,14 @@ Mesh extract_mesh(const openvdb::FloatGrid& surface, const MeshOptions& options,
     if (options.mesher == Mesher::MarchingCubes) {
         if (options.adaptivity > 0) throw UsageError("mesh: --adaptivity is of --mesher dual; marching cubes has none");
         Mesh mesh;
+        bool done = false;
         if (options.backend == Backend::Cuda) {
             DevicePipeline device(options.device);
             device.set_surface(surface);
-            mesh = device.mesh(options.normals);
-        } else {
-            mesh = marching_cubes(surface, options.normals);
+            done = device.extract_mesh(options.normals);
+            if (done) mesh = device.fetch_mesh(options.normals);
         }
+        if (!done) mesh = marching_cubes(surface, options.normals);
         if (mesh.vertices.empty()) throw InputError("mesh: the volume has no surface");
         progress.step();
         return mesh;

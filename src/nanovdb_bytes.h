@@ -7,6 +7,9 @@
 
 namespace vdbcarve {
 
+/// Throws OutputError where there is no memory.
+NanoBuffer allocate_nanovdb(size_t bytes);
+
 /// Fills what a grid built on the device lacks: the affine map as OpenVDB states it, bounding boxes and statistics of all nodes, checksum.
 void finish_nanovdb(NanoBuffer& grid, const openvdb::math::Transform& transform);
 

@@ -126,11 +126,13 @@ class Job {
         progress_.check();
         const auto start = std::chrono::steady_clock::now();
         reset_peak_memory();
+        stage_backend_ = Backend::Cpu;
         const bool reused = work();
         peak_bytes_ = std::max(peak_bytes_, peak_memory_bytes());
         json entry{{"name", name},
                    {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()},
                    {"peak_rss_bytes", peak_memory_bytes()},
+                   {"backend", name_of(stage_backend_)},
                    {"reused", reused}};
         report_["stages"].push_back(entry);
         if (o_.on_stage) {
@@ -365,12 +367,15 @@ class Job {
         try {
             if (!device_) device_.emplace(o_.device);
             work();
+            stage_backend_ = Backend::Cuda;
             return true;
         } catch (const BackendError& e) {
             if (o_.backend == Backend::Cuda) throw;
-            progress_.warn(std::string(stage) + ": " + e.what() + "; going on on the CPU, with the same result");
+            progress_.note(std::string(stage) + ": " + e.what() + "; going on on the CPU, with the same result");
             device_.reset();
             backend_ = Backend::Cpu;
+            stage_backend_ = Backend::Cpu;
+            if (!inputs_.empty()) share_out_memory();
             return false;
         }
     }
@@ -408,9 +413,9 @@ class Job {
     // level set's second set of values and its bookkeeping; the mesh with what OpenVDB needs to extract it (47 vertices a
     // leaf); two volumes, one mesh and compressed buffers while files are written.
     static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300;
-    // On the device: candidate leaves (1.35 for each that stays) with values and view lists, and the grid; the level set's two sets of
-    // values, its grid and neighbours.
-    static constexpr double kDevicePerLeaf = 1.35 * (2048 + 64 + 32) + 2148 + 2 * 2048 + 64 + 24 + 2148;
+    // On the device: candidate leaves (1.35 for each that stays) with values, views and cells, and the grid; the level set's two sets
+    // of values, its grid and neighbours; edges, vertices with normals and triangles.
+    static constexpr double kDeviceHullPerLeaf = 1.35 * (2048 + 64 + 240) + 2148, kDeviceSurfacePerLeaf = 2 * 2048 + 64 + 24 + 2148, kDeviceMeshPerLeaf = 256 + 50 * 24 + 100 * 12;
     static constexpr double kCarveBase = 20e6, kMeshBase = 40e6, kExportBase = 70e6;
 
     /// Peak memory of the run from here, by stage, into the report; then batches, bricks, or a clear no.
@@ -450,25 +455,53 @@ class Job {
             throw UsageError("this resolution needs about " + gb(later_peak) + " of memory, the limit is " + gb(limit) + " (--memory-limit). Remedy: " +
                              (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) + "`carve` alone goes further, in bricks");
         }
-        if (backend_ == Backend::Cuda && !o_.occupancy) {
-            const double device_room = 0.9 * static_cast<double>(cuda_devices()[static_cast<size_t>(o_.device)].memory_bytes) - 6 * fields;
-            if (leaves * kDevicePerLeaf > device_room) bricks_ = static_cast<int>(std::ceil(leaves * kDevicePerLeaf * 1.3 / std::max(device_room, 1e8)));
-            if (bricks_ > 1 && o_.last_stage == LastStage::Export) {
-                if (o_.backend == Backend::Cuda)
-                    throw BackendError("this resolution needs about " + gb(leaves * kDevicePerLeaf + 6 * fields) + " on the device, more than it has. Remedy: --backend cpu, or `carve` alone, in bricks");
-                progress_.note("the device has too little memory for this resolution; going on on the CPU, with the same result");
-                backend_ = Backend::Cpu;
-                bricks_ = 1;
-            }
-            if (carve_peak - fields <= limit) return;
+        field_bytes_ = fields;
+        hull_bytes_ = o_.occupancy ? 0 : hull;
+        memory_limit_bytes_ = limit;
+        if (backend_ == Backend::Cuda && !o_.occupancy && !fits_device(leaves)) return;
+        share_out_memory();
+    }
+
+    /// Bricks for a device that cannot hold the hull whole; the CPU instead for what cannot be done in bricks. True when the job goes
+    /// on where it was.
+    bool fits_device(double leaves) {
+        double masks = 0;
+        for (const MaskView& m : used_masks_) masks += static_cast<double>(m.coverage.pixels()) * (m.ignore.empty() ? 1 : 4);
+        // A sample takes two bytes, and twelve more while fields are made.
+        double samples = 0;
+        for (const MaskView& m : used_masks_) samples += 0.5 * static_cast<double>(planned_field_bytes(m, field_options_));
+        const double base = masks + 14 * samples;
+        const double per_leaf = kDeviceHullPerLeaf + (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf : 0) + (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
+        double room = 0;
+        if (!on_device("carve", [&] { room = 0.95 * static_cast<double>(device_->free_bytes()) - base; })) return false;
+        if (leaves * per_leaf <= room) return true;
+        const std::string needed = std::to_string((leaves * per_leaf + base) / 1e9).substr(0, 5) + " GB on the device, more than is free there";
+        if (o_.last_stage == LastStage::Carve && room > 1e8) {
+            device_bricks_ = static_cast<int>(std::ceil(leaves * per_leaf * 1.3 / room));
+            return true;
         }
-        if (carve_peak <= limit || o_.occupancy) return;  // the binary model is small: a bit a voxel
+        if (o_.backend == Backend::Cuda) throw BackendError("this resolution needs about " + needed + ". Remedy: --backend cpu, a lower --resolution, or `carve` alone, in bricks");
+        progress_.note("this resolution needs about " + needed + "; going on on the CPU, with the same result");
+        backend_ = Backend::Cpu;
+        device_.reset();
+        share_out_memory();
+        return false;
+    }
+
+    /// Batches of fields and bricks of the hull, so that the host keeps within the limit. On the device fields need no room here.
+    void share_out_memory() {
+        batch_ = inputs_.size();
+        bricks_ = backend_ == Backend::Cuda ? device_bricks_ : 1;
+        if (memory_limit_bytes_ <= 0 || o_.occupancy) return;  // the binary model is small: a bit a voxel
+        const double resident = static_cast<double>(resident_memory_bytes()), limit = memory_limit_bytes_;
+        const double fields = backend_ == Backend::Cuda ? 0 : field_bytes_;
+        if (resident + kCarveBase + fields + hull_bytes_ <= limit) return;
         // Half of the room for fields, half for leaves.
         const double room = std::max(limit - resident - kCarveBase, 2e6);
         if (fields > 0.5 * room) batch_ = static_cast<size_t>(std::clamp(std::floor(0.5 * room / (fields / static_cast<double>(inputs_.size()))), 1.0, static_cast<double>(inputs_.size())));
         const double held = std::min(fields, 0.5 * room);
-        if (hull > room - held) bricks_ = static_cast<int>(std::ceil(hull * 1.3 / (room - held)));
-        if (batch_ < inputs_.size()) progress_.note("distance fields of " + std::to_string(batch_) + " views at a time, to stay within " + gb(limit));
+        if (hull_bytes_ > room - held) bricks_ = std::max(bricks_, static_cast<int>(std::ceil(hull_bytes_ * 1.3 / (room - held))));
+        if (batch_ < inputs_.size()) progress_.note("distance fields of " + std::to_string(batch_) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) + " GB");
     }
 
     /// What the fields in memory, or those made batch after batch, say about the grid or one brick of it.
@@ -724,11 +757,13 @@ class Job {
             options.adaptivity = o_.adaptivity;
             options.mesher = o_.mesher;
             options.normals = o_.normals;
+            bool meshed = false;
             const bool done = backend_ == Backend::Cuda && o_.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
                 if (!surface_on_device_) device_->set_surface(*surface_);
-                mesh_ = device_->mesh(o_.normals);
+                meshed = device_->extract_mesh(o_.normals);
+                if (meshed) mesh_ = device_->fetch_mesh(o_.normals);
             });
-            if (!done) mesh_ = extract_mesh(*surface_, options, progress_);
+            if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
             write_mesh(file, mesh_);
         }
         measures_ = measure(mesh_);
@@ -877,6 +912,9 @@ class Job {
     MeshMeasures measures_;
     std::string backend_used_ = "cpu", inputs_sha256_;
     Backend backend_ = Backend::Cpu;          ///< where work is done now
+    Backend stage_backend_ = Backend::Cpu;    ///< where the stage's work was done
+    double field_bytes_ = 0, hull_bytes_ = 0, memory_limit_bytes_ = 0;  ///< planned; 0: not planned
+    int device_bricks_ = 1;
     std::optional<DevicePipeline> device_;
     bool surface_on_device_ = false;
     std::string mask_key_, hull_key_, surface_key_, mesh_key_;

@@ -162,7 +162,8 @@ TEST_P(GpuScenes, HullLevelSetAndMeshEqualTheCpus) {
     expect_same(*surface, *level_set(copy_of(*cpu.hull), l, quiet_));
     for (const bool normals : {false, true}) {
         const Mesh mesh = marching_cubes(*surface, normals);
-        expect_same_mesh(mesh, device.mesh(normals));
+        ASSERT_TRUE(device.extract_mesh(normals));
+        expect_same_mesh(mesh, device.fetch_mesh(normals));
         MeshOptions m;
         m.mesher = Mesher::MarchingCubes;
         m.normals = normals;
@@ -232,7 +233,8 @@ TEST_F(Gpu, NoiseMeshesAndLevelSetsEqualTheCpus) {
             DevicePipeline device;
             device.set_surface(*grid);
             expect_nanovdb_of(*grid, device.surface_nanovdb());
-            expect_same_mesh(marching_cubes(*grid, true), device.mesh(true));
+            ASSERT_TRUE(device.extract_mesh(true));
+            expect_same_mesh(marching_cubes(*grid, true), device.fetch_mesh(true));
             device.set_hull(*grid);
             device.level_set({});
             // Compared as it lies on the device: noise has no inside and outside for tiles to follow.
@@ -240,11 +242,63 @@ TEST_F(Gpu, NoiseMeshesAndLevelSetsEqualTheCpus) {
         }
 }
 
+// One pipeline for jobs of other sizes and kinds, and for what is not a level set.
+TEST_F(Gpu, OnePipelineServesOneJobAfterAnother) {
+    DevicePipeline device;
+    const auto job = [&](const Shoot& s, CarveOptions o) {
+        std::vector<MaskView> masks;
+        for (const Mask& m : s.scene.masks) masks.push_back(view_of(m));
+        device.upload(masks);
+        device.distance({});
+        device.carve(s.inputs, o, quiet_);
+        const CarveResult cpu = carve(s.inputs, o, quiet_);
+        if (o.occupancy) {
+            EXPECT_TRUE(cpu.occupancy->tree().hasSameTopology(device.occupancy()->tree()));
+            EXPECT_THROW(device.hull(), UsageError);
+        } else {
+            expect_same(*cpu.hull, *device.hull());
+            EXPECT_THROW(device.occupancy(), UsageError);
+            device.level_set({});
+            expect_same(*level_set(cpu.hull, {}, quiet_), *device.surface());
+        }
+    };
+    const Shoot small = shoot(small_spec("cup", 7)), large = shoot(small_spec("torus", 14, 320, 240));
+    CarveOptions a = options_for(small, 40), b = options_for(large, 150);
+    job(small, a);
+    job(large, b);
+    a.occupancy = true;
+    job(small, a);
+    a.occupancy = false;
+    a.max_misses = 2;
+    job(small, a);
+    device.upload({});
+    EXPECT_THROW(device.carve(small.inputs, a, quiet_), UsageError);
+
+    // Grids without leaves, and with leaves that end where another side begins.
+    openvdb::FloatGrid::Ptr empty = openvdb::FloatGrid::create(1.f);
+    empty->setGridClass(openvdb::GRID_LEVEL_SET);
+    device.set_hull(*empty);
+    EXPECT_THROW(device.level_set({}), InputError);
+    device.set_surface(*empty);
+    EXPECT_TRUE(device.extract_mesh(false));
+    EXPECT_TRUE(device.fetch_mesh(false).vertices.empty());
+    empty->tree().touchLeaf(openvdb::Coord(8, 16, -8))->fill(-0.5f, true);
+    device.set_surface(*empty);
+    EXPECT_FALSE(device.extract_mesh(false));
+    EXPECT_THROW(device.fetch_mesh(false), UsageError);
+    MeshOptions m;
+    m.mesher = Mesher::MarchingCubes;
+    m.backend = Backend::Cuda;
+    expect_same_mesh(marching_cubes(*empty, false), extract_mesh(*empty, m, quiet_));
+}
+
 TEST_F(Gpu, AnEmptyHullIsExplainedAlike) {
     Shoot s = shoot(small_spec("ellipsoids", 8), [](SyntheticScene& scene) { std::fill(scene.masks[3].coverage.data.begin(), scene.masks[3].coverage.data.end(), uint8_t{0}); });
     CarveOptions o = options_for(s, 48);
     const std::string cpu = error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); });
     o.backend = Backend::Cuda;
+    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); }));
+    o.occupancy = true;
     EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); }));
 }
 
@@ -281,7 +335,8 @@ TEST_F(Gpu, PackedScenesEqualTheCpus) {
         expect_same(*surface, *device.surface());
         expect_nanovdb_of(*surface, device.surface_nanovdb());
         const Mesh mesh = marching_cubes(*surface, false);
-        expect_same_mesh(mesh, device.mesh(false));
+        ASSERT_TRUE(device.extract_mesh(false));
+        expect_same_mesh(mesh, device.fetch_mesh(false));
         const MeshMeasures m = measure(mesh);
         std::printf("%s: %u leaves, %zu vertices, manifold %d, volume %.9g\n", entry.path().filename().c_str(), surface->tree().leafCount(), m.vertices, m.manifold, m.volume);
     }

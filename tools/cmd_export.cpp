@@ -2,7 +2,9 @@
 #include <spdlog/spdlog.h>
 
 #include <filesystem>
+#include <fstream>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "cli.h"
 #include "vdbcarve/export.h"
@@ -19,7 +21,18 @@ bool is_volume(const fs::path& file) { return file.extension() == ".vdb" || file
 fs::path source_for(const fs::path& in, const fs::path& out) {
     if (!fs::is_directory(in)) return in;
     if (!is_volume(out)) return in / "mesh.ply";
+    if (!fs::exists(in / "volume.vdb") && fs::is_directory(in / "hull_bricks")) throw InputError((in / "hull_bricks").string() + ": the hull lies in bricks; convert them one by one");
     return fs::exists(in / "volume.vdb") ? in / "volume.vdb" : in / "hull.vdb";
+}
+
+/// The up axis that a result's report states, or nothing.
+std::string up_of(const fs::path& folder) {
+    try {
+        std::ifstream in(folder / "report.json");
+        return in ? nlohmann::json::parse(in).at("cameras").at("up").get<std::string>() : "";
+    } catch (const nlohmann::json::exception&) {
+        return "";
+    }
 }
 
 void convert(const fs::path& from, const fs::path& to, const std::string& up) {
@@ -59,13 +72,13 @@ Command add_export(CLI::App& program) {
     app->fallthrough();
     app->add_option("in", raw->in, "a result's folder, a volume or a mesh")->required();
     app->add_option("-o,--output", raw->out, "files to write, by extension")->required();
-    app->add_option("--up", raw->up, "the input's up axis, turned to y in .obj")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
+    app->add_option("--up", raw->up, "the input's up axis, turned to y in .obj (default: what a result's report says)")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
     return {app, [raw](Common&, Progress& progress) {
                 for (const std::string& out : raw->out) {
                     progress.check();
                     const fs::path from = source_for(raw->in, out);
                     if (!fs::exists(from)) throw InputError(from.string() + ": no such file");
-                    convert(from, out, raw->up);
+                    convert(from, out, raw->up.empty() && fs::is_directory(raw->in) ? up_of(raw->in) : raw->up);
                     spdlog::info("{} -> {}", from.string(), out);
                 }
                 return 0;

@@ -21,7 +21,8 @@ std::vector<DeviceInfo> cuda_devices();
 /// Why there is none, in a sentence; empty where there is.
 std::string why_no_cuda();
 
-/// Auto becomes Cuda where the device is there, else Cpu. Throws BackendError when CUDA is demanded and `device` is not there.
+/// Auto becomes Cuda where there are CUDA devices, else Cpu. Throws BackendError when CUDA is demanded and not there, or when
+/// `device` is none of those that are.
 Backend choose_backend(Backend wanted, int device);
 
 /// "cpu" or "cuda".

@@ -7,6 +7,8 @@
 
 #include <openvdb/openvdb.h>
 
+#include <cstdint>
+#include <cstdlib>
 #include <memory>
 #include <string>
 #include <utility>
@@ -59,10 +61,10 @@ class DevicePipeline {
     openvdb::FloatGrid::Ptr surface() const;
     void set_surface(const openvdb::FloatGrid& surface);
 
-    /// Marching cubes of the surface, on the device (false where only the host's way through can, see cuda/mesh_cuda.h), and home.
+    /// Marching cubes of the surface, on the device. False where only extract_mesh() of the grid on the CPU can: no level set with
+    /// a whole band is such (cuda/mesh_cuda.h).
     bool extract_mesh(bool normals);
-    Mesh mesh(bool normals);
-    /// What extract_mesh() made, home.
+    /// What extract_mesh() made, home. Throws UsageError when that is nothing.
     Mesh fetch_mesh(bool normals);
 
     /// The NanoVDB grids as the device built them, with statistics and checksum filled in: valid, and the bytes of to_nanovdb().
@@ -76,7 +78,7 @@ class DevicePipeline {
     void clear_times();
     /// Bytes that the stages hold on the device.
     size_t bytes() const;
-    /// Bytes that were free before the first of them.
+    /// Bytes of the device that nobody holds now.
     size_t free_bytes() const;
     void wait() const;
 
