@@ -301,8 +301,8 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
     BenchScene scene;
     std::vector<Image8> binary;
     for (const BenchCase& c : options.cases) {
-        if (c.views < 1 || c.views > kMaxDenseViews) throw UsageError("bench: " + std::to_string(c.views) + " views, must be 1.." + std::to_string(kMaxDenseViews));
-        if (scene.cameras.size() != static_cast<size_t>(c.views)) {
+        if (c.views < 0 || c.views > kMaxDenseViews) throw UsageError("bench: " + std::to_string(c.views) + " views, must be 1.." + std::to_string(kMaxDenseViews));
+        if (scene.cameras.empty() || (c.views != 0 && scene.cameras.size() != static_cast<size_t>(c.views))) {
             scene = options.scene(c.views);
             binary.clear();
             for (const Mask& m : scene.masks) {
@@ -313,11 +313,13 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
             }
         }
         out.scene = scene.name;
+        const auto views = static_cast<int>(scene.cameras.size());
+        if (views > kMaxDenseViews) throw UsageError("bench: " + scene.name + " has " + std::to_string(views) + " views, at most " + std::to_string(kMaxDenseViews) + ". Remedy: --views 36");
         std::vector<MaskView> masks;
         for (const Mask& m : scene.masks) masks.push_back(view_of(m));
         BenchRow row;
         row.dims = c.dims;
-        row.views = c.views;
+        row.views = views;
         // Cubic voxels: the bounds are made to have the grid's shape around their middle.
         const Vec3d d(c.dims[0], c.dims[1], c.dims[2]);
         CarveOptions o;
@@ -326,14 +328,14 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
         o.lattice.origin_world = o.bounds_world.min();
         o.outside = Outside::Background;
         o.min_seen = 0;
-        const std::string what = std::to_string(c.dims[0]) + "x" + std::to_string(c.dims[1]) + "x" + std::to_string(c.dims[2]) + ", " + std::to_string(c.views) + " views";
+        const std::string what = std::to_string(c.dims[0]) + "x" + std::to_string(c.dims[1]) + "x" + std::to_string(c.dims[2]) + ", " + std::to_string(views) + " views";
         const size_t dense_bytes = static_cast<size_t>(c.dims[0]) * static_cast<size_t>(c.dims[1]) * static_cast<size_t>(c.dims[2]);
         const bool dense = options.dense && dense_bytes <= options.dense_limit_bytes;
 
         Timed fields_time, carve_time, level_set_time, mesh_time, cubes_time, dense_time;
         for (int run = 0; run < (options.cpu ? options.runs : 0); ++run) {
             progress.check();
-            progress.note(what + ": run " + std::to_string(run + 1));
+            progress.note(what + ": run " + std::to_string(run + 1) + " of " + std::to_string(options.runs));
             reset_peak_memory();
             std::vector<DistanceField> fields;
             fields_time([&] { fields = bench_fields(scene, masks, o); });

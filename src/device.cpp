@@ -172,6 +172,8 @@ std::string why_no_cuda() {
     const cudaError_t error = cudaGetDeviceCount(&count);
     (void)cudaGetLastError();
     if (error == cudaSuccess && count > 0) return {};
+    int driver = 0;
+    if (cudaDriverGetVersion(&driver) == cudaSuccess && driver == 0) return "this machine has no CUDA device that can be used (no NVIDIA driver)";
     return std::string("this machine has no CUDA device that can be used (") + (error == cudaSuccess ? "none found" : cudaGetErrorString(error)) + ")";
 }
 

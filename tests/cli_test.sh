@@ -96,6 +96,12 @@ expect 0 'again.vdb' export volume.nvdb -o again.vdb
 expect 0 'active_voxels' info again.vdb
 expect 2 'volumes become' export out/mesh.ply -o mesh.vdb
 expect 3 'no such file' export nowhere.vdb -o there.nvdb
+expect 2 'known' export out -o first.vdb second.xyz
+check 'nothing is written before everything is checked' test ! -e first.vdb
+expect 2 'input itself' export volume.nvdb -o volume.nvdb
+expect 3 'holds no volume' export scene -o there.nvdb
+expect 2 '--paper' bench --paper --grid 64x32x64
+expect 0 '\| 6 \|' bench scene --grid 32x32x32 --runs 1 --backend cpu
 expect 0 'MB freed' clean out
 expect 3 'not made by vdbcarve' clean scene
 expect 0 'carve .* s' carve scene -o carved --resolution 24

@@ -182,8 +182,9 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                 }
                 if (options.dry_run) return 0;
                 if (options.last_stage == LastStage::Export)
-                    spdlog::info("mesh: {} vertices, {} faces, {}, genus {}, volume {:.6g}; silhouette IoU median {:.4f}, minimum {:.4f}", result.mesh.vertices,
-                                 result.mesh.faces, result.mesh.manifold ? "closed manifold" : "NOT a closed manifold", result.mesh.genus, result.mesh.volume,
+                    spdlog::info("mesh: {} vertices, {} faces, {}{}, genus {}, volume {:.6g}; silhouette IoU median {:.4f}, minimum {:.4f}", result.mesh.vertices,
+                                 result.mesh.faces, result.mesh.manifold ? "closed manifold" : "NOT a closed manifold",
+                                 result.mesh.components > 1 ? " in " + std::to_string(result.mesh.components) + " pieces" : std::string(), result.mesh.genus, result.mesh.volume,
                                  result.median_iou, result.minimum_iou);
                 spdlog::info("result in {}", options.output.string());
                 return 0;

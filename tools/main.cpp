@@ -95,6 +95,7 @@ int main(int argc, char** argv) {
         "  vdbcarve check shoot                              what is wrong with cameras and masks, in words\n"
         "  vdbcarve evaluate out --truth shoot/truth.ply     how far the result is from the truth\n"
         "  vdbcarve info out                                 what a file or a result holds\n"
+        "  vdbcarve export out -o volume.nvdb model.obj      other formats\n"
         "  vdbcarve bench                                    how fast this machine carves"
         "\n"
         "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");

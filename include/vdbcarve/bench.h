@@ -25,12 +25,12 @@ struct BenchScene {
 
 /// A large ball and 30 small ones, seen by a level ring of cameras of 1024 x 768; silhouettes in closed form.
 BenchScene bench_spheres(int views);
-/// A scene folder, thinned out evenly to `views`; bounds found from the silhouettes where none are given. Throws Error.
+/// A scene folder, thinned out evenly to `views` (0: all); bounds found from the silhouettes where none are given. Throws Error.
 BenchScene load_bench_scene(const std::filesystem::path& folder, const std::optional<Box3d>& bounds, int views, Progress& progress);
 
 struct BenchCase {
     std::array<int, 3> dims;  ///< voxels; the bounds are stretched to their shape
-    int views;
+    int views;  ///< 0: all that the scene has
 };
 
 /// The paper's six volumes with 36 views, then 512^3 with other numbers of views.
