@@ -284,10 +284,6 @@ __device__ float raise_unseen(const Common& c, const int3& origin, int at, float
     }
 }
 
-__device__ void mark_leaf(const Common& c, uint32_t key) {
-    atomicOr(reinterpret_cast<unsigned long long*>(c.topology.leaves) + static_cast<size_t>(key / kBlockLeaves) * kBlockWords + (key % kBlockLeaves) / 64, 1ull << (key & 63));
-}
-
 constexpr int kLeafThreads = 64;  // small blocks: a multiprocessor gets new work as soon as two cells are done
 
 /// A warp a cell of 4 x 4 x 4 voxels, two a lane; warps do not wait for each other. kRanks: so many largest values a voxel keeps, one
@@ -408,7 +404,7 @@ __global__ void __launch_bounds__(kLeafThreads, kRanks == 1 ? 16 : 8) evaluate_l
                      static_cast<unsigned long long>(spread) << ((cell & 2 ? 32 : 0) + (cell & 1 ? 4 : 0)));
     }
     if (lane == 0) {
-        if (in_band[0] | in_band[1]) mark_leaf(c, key);
+        if (in_band[0] | in_band[1]) TopologyView::mark(c.topology.leaves, key);
         if (cell == 0 && inside) atomicOr(c.slots.state + slot, kFirstInside);
         unsigned long long* sums = c.tallies + (blockIdx.x % kTallies) * kTallySize;
         if (negative) atomicAdd(sums, static_cast<unsigned long long>(negative));
@@ -423,9 +419,7 @@ __global__ void mark_inside_leaves(const Common c, uint32_t slots) {
     const uint32_t slot = blockIdx.x * blockDim.x + threadIdx.x;
     if (slot >= slots || !(c.slots.state[slot] & kFirstInside)) return;
     const uint32_t key = c.slots.key[slot];
-    const size_t word = static_cast<size_t>(key / kBlockLeaves) * kBlockWords + (key % kBlockLeaves) / 64;
-    const unsigned long long bit = 1ull << (key & 63);
-    if (!(c.topology.leaves[word] & bit)) atomicOr(reinterpret_cast<unsigned long long*>(c.topology.inside) + word, bit);
+    if (!(c.topology.leaves[key / 64] >> (key & 63) & 1)) TopologyView::mark(c.topology.inside, key);
 }
 
 /// The paper's binary model.
@@ -450,7 +444,7 @@ __global__ void __launch_bounds__(kLeafVoxels) evaluate_binary(const Common c, u
     for (int a = 0; a < 3; ++a) on = on && ijk[a] >= c.min[a] && ijk[a] < c.max[a];
     const unsigned word = __ballot_sync(kAll, on);
     if (lane == 0) reinterpret_cast<uint32_t*>(active)[static_cast<size_t>(slot) * 16 + t / 32] = word;
-    if (lane == 0 && word) mark_leaf(c, key);
+    if (lane == 0 && word) TopologyView::mark(c.topology.leaves, key);
 }
 
 template <bool kPerspective>
@@ -557,7 +551,7 @@ void CarveStage::run(const CarveJob& job, const Stream& stream, StageTimes& time
     times.measure("carve: leaves", stream, [&] {
         if (candidates_ == 0) return;
         if (entries) {
-            prepare_entries<<<(entries + 127) / 128, 128, 0, stream.get()>>>(c, entries);
+            prepare_entries<<<blocks_for(entries, 128), 128, 0, stream.get()>>>(c, entries);
             VDBCARVE_LAUNCHED();
         }
         if (job.occupancy) {
@@ -571,7 +565,7 @@ void CarveStage::run(const CarveJob& job, const Stream& stream, StageTimes& time
         } else {
             evaluate<false>(c, candidates_, values_.data(), active_.data(), stream.get());
         }
-        mark_inside_leaves<<<(candidates_ + 255) / 256, 256, 0, stream.get()>>>(c, candidates_);
+        mark_inside_leaves<<<blocks_for(candidates_, 256), 256, 0, stream.get()>>>(c, candidates_);
         VDBCARVE_LAUNCHED();
     });
     times.measure("carve: topology", stream, [&] { topology_.number_leaves(stream); });

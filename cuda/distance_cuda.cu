@@ -352,7 +352,8 @@ __global__ void block_bounds(const WindowJob* jobs) {
     job.blocks[b] = static_cast<int16_t>(block_bound(distance, inside, job.block_offset));
 }
 
-int blocks_for(int count, int threads) { return (count + threads - 1) / threads; }
+/// How many pieces of `size` samples cover `count`.
+int pieces_of(int count, int size) { return static_cast<int>(blocks_for(static_cast<size_t>(count), static_cast<unsigned>(size))); }
 
 }  // namespace
 
@@ -433,7 +434,7 @@ std::vector<ObjectBox> DistanceStage::prepare(int scale, bool conservative, cons
     stream.to_device(jobs, host, coarse_bytes + ignored_bytes + box_bytes);
     const cudaStream_t s = stream.get();
     if (!coarse.empty()) {
-        coarser<<<dim3(blocks_for(most_width, 128), most_height, coarse.size()), 128, 0, s>>>(reinterpret_cast<const CoarseJob*>(jobs));
+        coarser<<<dim3(pieces_of(most_width, 128), most_height, coarse.size()), 128, 0, s>>>(reinterpret_cast<const CoarseJob*>(jobs));
         VDBCARVE_LAUNCHED();
     }
     if (!ignored.empty()) {
@@ -441,7 +442,7 @@ std::vector<ObjectBox> DistanceStage::prepare(int scale, bool conservative, cons
         VDBCARVE_LAUNCHED();
     }
     ObjectBox* found = boxes_.ensure(n);
-    empty_boxes<<<blocks_for(static_cast<int>(n), 128), 128, 0, s>>>(found, static_cast<int>(n));
+    empty_boxes<<<pieces_of(static_cast<int>(n), 128), 128, 0, s>>>(found, static_cast<int>(n));
     VDBCARVE_LAUNCHED();
     object_boxes<<<dim3(std::clamp(most_width * most_height / 16384, 1, 256), 1, n), 256, 0, s>>>(reinterpret_cast<const BoxJob*>(jobs + coarse_bytes + ignored_bytes), found);
     VDBCARVE_LAUNCHED();
@@ -455,7 +456,7 @@ std::vector<DeviceField> DistanceStage::make(const std::vector<FieldJob>& jobs, 
     stream.wait();  // the host's list of jobs is written anew
     size_t samples = 0, blocks = 0, tiles = 0;
     // The last rows of flags of a thread's 32 rows may lie beyond the window.
-    const auto tiles_of = [](const WindowJob& w) { return static_cast<size_t>(w.tiles_across) * 2 * static_cast<size_t>(blocks_for(w.height, kRows)) * (kRows / 8); };
+    const auto tiles_of = [](const WindowJob& w) { return static_cast<size_t>(w.tiles_across) * 2 * static_cast<size_t>(pieces_of(w.height, kRows)) * (kRows / 8); };
     int most_width = 0, most_height = 0, most_columns = 0, most_blocks = 0;
     std::vector<DeviceField> out(jobs.size());
     std::vector<WindowJob> windows(jobs.size());
@@ -465,7 +466,7 @@ std::vector<DeviceField> DistanceStage::make(const std::vector<FieldJob>& jobs, 
         const DeviceImage& image = (job.of_ignored ? seen_ : silhouettes_)[static_cast<size_t>(job.view)];
         WindowJob& w = windows[j];
         w = {image.data + static_cast<size_t>(job.y0) * static_cast<size_t>(image.width) + job.x0, image.width, job.width, job.height, job.reach, job.offset, job.clamp, job.block_offset,
-             nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, blocks_for(job.width, 32), blocks_for(job.width, kBlock_px), blocks_for(job.height, kBlock_px)};
+             nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, pieces_of(job.width, 32), pieces_of(job.width, kBlock_px), pieces_of(job.height, kBlock_px)};
         out[j].sample_count = static_cast<size_t>(job.width) * static_cast<size_t>(job.height);
         out[j].block_count = static_cast<size_t>(w.columns) * static_cast<size_t>(w.rows);
         out[j].blocks_per_row = w.columns;
@@ -506,19 +507,19 @@ std::vector<DeviceField> DistanceStage::make(const std::vector<FieldJob>& jobs, 
     const auto* device = reinterpret_cast<const WindowJob*>(jobs_.data());
     const unsigned n = static_cast<unsigned>(jobs.size());
     const cudaStream_t s = stream.get();
-    vertical_distance<<<dim3(blocks_for(most_width, 128), blocks_for(most_height, kRows), n), 128, 0, s>>>(device);
+    vertical_distance<<<dim3(pieces_of(most_width, 128), pieces_of(most_height, kRows), n), 128, 0, s>>>(device);
     VDBCARVE_LAUNCHED();
-    horizontal_distance<<<dim3(blocks_for(blocks_for(most_width, 32), 4), most_height, n), 128, 0, s>>>(device);
+    horizontal_distance<<<dim3(pieces_of(pieces_of(most_width, 32), 4), most_height, n), 128, 0, s>>>(device);
     VDBCARVE_LAUNCHED();
-    contour_distance<<<dim3(blocks_for(most_width, 128), most_height, n), 128, 0, s>>>(device);
+    contour_distance<<<dim3(pieces_of(most_width, 128), most_height, n), 128, 0, s>>>(device);
     VDBCARVE_LAUNCHED();
-    least_distance<<<dim3(blocks_for(most_width, 32), blocks_for(most_height, 8), n), dim3(32, 8), 0, s>>>(device);
+    least_distance<<<dim3(pieces_of(most_width, 32), pieces_of(most_height, 8), n), dim3(32, 8), 0, s>>>(device);
     VDBCARVE_LAUNCHED();
-    block_sides<<<dim3(blocks_for(most_blocks, 128), 1, n), 128, 0, s>>>(device);
+    block_sides<<<dim3(pieces_of(most_blocks, 128), 1, n), 128, 0, s>>>(device);
     VDBCARVE_LAUNCHED();
-    block_columns<<<dim3(blocks_for(2 * most_columns, 64), 1, n), 64, 0, s>>>(device);
+    block_columns<<<dim3(pieces_of(2 * most_columns, 64), 1, n), 64, 0, s>>>(device);
     VDBCARVE_LAUNCHED();
-    block_bounds<<<dim3(blocks_for(most_blocks, 128), 1, n), 128, 0, s>>>(device);
+    block_bounds<<<dim3(pieces_of(most_blocks, 128), 1, n), 128, 0, s>>>(device);
     VDBCARVE_LAUNCHED();
     return out;
 }

@@ -242,8 +242,6 @@ __global__ void make_upper_boxes(NodePlaces places, const uint32_t* numbers, con
     }
 }
 
-unsigned blocks_for(size_t count, unsigned threads) { return static_cast<unsigned>((count + threads - 1) / threads); }
-
 }  // namespace
 
 void Topology::cover(const std::array<int, 3>& min, const std::array<int, 3>& max, const Stream& stream) {

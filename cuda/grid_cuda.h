@@ -36,6 +36,8 @@ struct TopologyView {
     int blocks;
 
 #if defined(__CUDACC__)
+    /// Sets a leaf's bit in `leaves` or `inside`, by its key.
+    __device__ static void mark(uint64_t* bits, uint32_t key) { atomicOr(reinterpret_cast<unsigned long long*>(bits) + key / 64, 1ull << (key & 63)); }
     /// Number of a leaf, or -1 where there is none.
     __device__ int64_t leaf_number(int block, int offset) const {
         const uint64_t word = leaves[block * kBlockWords + (offset >> 6)];

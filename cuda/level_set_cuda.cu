@@ -120,17 +120,10 @@ __global__ void __launch_bounds__(kLeafVoxels) finish(const Grid::Leaf* hull, fl
     if (t % 32 == 0) reinterpret_cast<uint32_t*>(active)[static_cast<size_t>(leaf) * 16 + t / 32] = word;
     const bool any = __syncthreads_or(word != 0);
     if (t == 0) {
-        auto* bits = reinterpret_cast<unsigned long long*>(any ? surface.leaves : surface.inside);
-        if (any || inside) atomicOr(bits + static_cast<size_t>(key / kBlockLeaves) * kBlockWords + (key % kBlockLeaves) / 64, 1ull << (key & 63));
+        if (any) TopologyView::mark(surface.leaves, key);
+        else if (inside) TopologyView::mark(surface.inside, key);
     }
 }
-
-__global__ void copy_words(const uint64_t* from, uint64_t* to, size_t count) {
-    const size_t n = static_cast<size_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-    if (n < count) to[n] = from[n];
-}
-
-unsigned blocks_for(size_t count, unsigned threads) { return static_cast<unsigned>((count + threads - 1) / threads); }
 
 }  // namespace
 
@@ -163,9 +156,7 @@ bool LevelSetStage::run(const Grid& hull, const Topology& hull_topology, int hal
             std::swap(changed, changes);
         }
         const TopologyView old_view = hull_topology.view(), new_view = topology_.view();
-        const size_t words = static_cast<size_t>(old_view.blocks) * kBlockWords;
-        copy_words<<<blocks_for(words, 256), 256, 0, s>>>(old_view.inside, new_view.inside, words);
-        VDBCARVE_LAUNCHED();
+        VDBCARVE_CUDA(cudaMemcpyAsync(new_view.inside, old_view.inside, static_cast<size_t>(old_view.blocks) * kBlockWords * sizeof(uint64_t), cudaMemcpyDeviceToDevice, s));
         finish<<<n, kLeafVoxels, 0, s>>>(hull.leaves(), from, hull.keys(), band_vox, voxel, new_view, active_.data());
         VDBCARVE_LAUNCHED();
         values_ = from;

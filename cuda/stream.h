@@ -59,6 +59,9 @@ class Event {
     cudaEvent_t event_{};
 };
 
+/// Blocks of so many threads that `count` of them need.
+inline unsigned blocks_for(size_t count, unsigned threads) { return static_cast<unsigned>((count + threads - 1) / threads); }
+
 /// A named stretch of work: a range in the profiler, and device time in a list.
 class StageTimes {
   public:

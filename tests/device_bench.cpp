@@ -69,12 +69,8 @@ int run(const std::vector<std::string>& words) {
     } else if (what == "hull" && words.size() == 4) {
         openvdb::initialize();
         const test::PackedScene scene = test::read_packed_scene(words[1]);
-        std::vector<MaskView> masks;
-        std::vector<CarveInput> inputs;
-        for (size_t i = 0; i < scene.cameras.size(); ++i) {
-            masks.push_back(view_of(scene.masks[i]));
-            inputs.push_back({scene.names[i], scene.cameras[i], nullptr});
-        }
+        const std::vector<MaskView> masks = scene.mask_views();
+        std::vector<CarveInput> inputs = scene.inputs();
         CarveOptions c;
         c.bounds_world = scene.bounds;
         c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / std::stoi(words[2]);

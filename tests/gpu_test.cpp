@@ -309,12 +309,8 @@ TEST_F(Gpu, PackedScenesEqualTheCpus) {
     for (const auto& entry : std::filesystem::directory_iterator(folder)) {
         SCOPED_TRACE(entry.path().filename().string());
         const PackedScene scene = read_packed_scene(entry.path());
-        std::vector<MaskView> masks;
-        std::vector<CarveInput> inputs;
-        for (size_t i = 0; i < scene.cameras.size(); ++i) {
-            masks.push_back(view_of(scene.masks[i]));
-            inputs.push_back({scene.names[i], scene.cameras[i], nullptr});
-        }
+        const std::vector<MaskView> masks = scene.mask_views();
+        std::vector<CarveInput> inputs = scene.inputs();
         CarveOptions o;
         o.bounds_world = scene.bounds;
         o.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / 512;

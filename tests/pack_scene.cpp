@@ -39,13 +39,7 @@ int main(int argc, char** argv) {
         if (std::sscanf(bounds.c_str(), "%lf,%lf,%lf,%lf,%lf,%lf", b, b + 1, b + 2, b + 3, b + 4, b + 5) == 6) {
             scene.bounds = Box3d(Vec3d(b[0], b[1], b[2]), Vec3d(b[3], b[4], b[5]));
         } else {
-            std::vector<CarveInput> inputs;
-            std::vector<MaskView> mask_views;
-            for (size_t i = 0; i < scene.cameras.size(); ++i) {
-                inputs.push_back({scene.names[i], scene.cameras[i], nullptr});
-                mask_views.push_back(view_of(scene.masks[i]));
-            }
-            scene.bounds = automatic_bounds(inputs, mask_views, 0, {}, quiet);
+            scene.bounds = automatic_bounds(scene.inputs(), scene.mask_views(), 0, {}, quiet);
         }
         test::write_packed_scene(argv[2], scene);
         return 0;

@@ -35,6 +35,18 @@ Image8 read_pgm(const fs::path& file) {
 
 }  // namespace
 
+std::vector<MaskView> PackedScene::mask_views() const {
+    std::vector<MaskView> out;
+    for (const Mask& m : masks) out.push_back(view_of(m));
+    return out;
+}
+
+std::vector<CarveInput> PackedScene::inputs() const {
+    std::vector<CarveInput> out;
+    for (size_t i = 0; i < cameras.size(); ++i) out.push_back({names[i], cameras[i], nullptr});
+    return out;
+}
+
 void write_packed_scene(const fs::path& folder, const PackedScene& scene) {
     fs::create_directories(folder);
     std::ofstream out(folder / "cameras.txt");

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "vdbcarve/carve.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
 
@@ -17,6 +18,10 @@ struct PackedScene {
     std::vector<Camera> cameras;
     std::vector<Mask> masks;
     Box3d bounds;
+
+    std::vector<MaskView> mask_views() const;
+    /// Without fields.
+    std::vector<CarveInput> inputs() const;
 };
 
 /// Throw Error. Numbers are written exactly, as hexadecimal floats.
