@@ -242,6 +242,13 @@ __global__ void make_upper_boxes(NodePlaces places, const uint32_t* numbers, con
     }
 }
 
+__global__ void list_neighbours(TopologyView topology, const uint32_t* keys, uint32_t count, int32_t* out) {
+    const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
+    if (n >= 6 * count) return;
+    const int face = static_cast<int>(n % 6), step = face % 2 ? 1 : -1;
+    out[n] = static_cast<int32_t>(topology.neighbour(keys[n / 6], face / 2 == 0 ? step : 0, face / 2 == 1 ? step : 0, face / 2 == 2 ? step : 0));
+}
+
 }  // namespace
 
 void Topology::cover(const std::array<int, 3>& min, const std::array<int, 3>& max, const Stream& stream) {
@@ -417,6 +424,12 @@ void Grid::build(const Topology& topology, const GridSpec& spec, const LeafSourc
     make_boxes<<<blocks_for(leaves, 128), 128, 0, s>>>(places, view, keys_.data(), leaves, reinterpret_cast<NanoRoot*>(places.buffer + root_at), topology.lower_.data());
     VDBCARVE_LAUNCHED();
     make_upper_boxes<<<tiles, 256, 0, s>>>(places, upper_numbers_.data(), topology.device_upper_first_.data(), topology.lower_.data(), tiles);
+    VDBCARVE_LAUNCHED();
+}
+
+void find_neighbours(const Topology& topology, const Grid& grid, int32_t* out, const Stream& stream) {
+    const uint32_t n = grid.leaf_count();
+    list_neighbours<<<blocks_for(6 * static_cast<size_t>(n), 256), 256, 0, stream.get()>>>(topology.view(), grid.keys(), n, out);
     VDBCARVE_LAUNCHED();
 }
 

@@ -144,4 +144,7 @@ class Grid {
     uint32_t leaf_count_ = 0;
 };
 
+/// The six face neighbours of every leaf by number, -1 where there is none: -x +x -y +y -z +z; 6 a leaf.
+void find_neighbours(const Topology& topology, const Grid& grid, int32_t* out, const Stream& stream);
+
 }  // namespace vdbcarve::cuda

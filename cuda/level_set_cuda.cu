@@ -11,14 +11,6 @@ namespace {
 
 using namespace kernel;
 
-/// The six neighbours of every leaf by number, -1 where there is none: -x +x -y +y -z +z.
-__global__ void find_neighbours(TopologyView topology, const uint32_t* keys, uint32_t count, int32_t* out) {
-    const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
-    if (n >= 6 * count) return;
-    const int face = static_cast<int>(n % 6), step = face % 2 ? 1 : -1;
-    out[n] = static_cast<int32_t>(topology.neighbour(keys[n / 6], face / 2 == 0 ? step : 0, face / 2 == 1 ? step : 0, face / 2 == 2 ? step : 0));
-}
-
 // A thread has four voxels in a row, k = 4 h .. 4 h + 3. In shared memory a row takes 12 floats: the voxel before it at 3, its own
 // eight from 4 on, aligned for vectors, and the one after it at 12, which the next row does not use.
 constexpr int kRow = 12, kSlice = 10 * kRow, kThreads = kLeafVoxels / 4;
@@ -145,8 +137,7 @@ bool LevelSetStage::run(const Grid& hull, const Topology& hull_topology, int hal
     topology_.cover_like(hull_topology, stream);
     times.measure("level_set", stream, [&] {
         stream.zero(crosses_.data(), 1);
-        find_neighbours<<<blocks_for(6 * static_cast<size_t>(n), 256), 256, 0, s>>>(hull_topology.view(), hull.keys(), n, neighbours_.data());
-        VDBCARVE_LAUNCHED();
+        find_neighbours(hull_topology, hull, neighbours_.data(), stream);
         measure<<<n, kThreads, 0, s>>>(hull.leaves(), neighbours_.data(), band_vox, from, crosses_.data());
         VDBCARVE_LAUNCHED();
         for (int pass = 0; pass < passes; ++pass) {

@@ -20,11 +20,8 @@
 #include "statistics.h"
 #include "vdbcarve/error.h"
 #if defined(VDBCARVE_WITH_CUDA)
-#include "../cuda/carve_cuda.h"
 #include "../cuda/dense_cuda.h"
-#include "../cuda/distance_cuda.h"
-#include "../cuda/level_set_cuda.h"
-#include "../cuda/mesh_cuda.h"
+#include "device_parts.h"
 #endif
 
 namespace vdbcarve {
@@ -64,6 +61,7 @@ void DevicePipeline::set_hull(const openvdb::FloatGrid&) { absent(); }
 void DevicePipeline::level_set(const LevelSetOptions&) { absent(); }
 openvdb::FloatGrid::Ptr DevicePipeline::surface() const { absent(); }
 void DevicePipeline::set_surface(const openvdb::FloatGrid&) { absent(); }
+ColorResult DevicePipeline::color(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const ColorOptions&, Progress&) { absent(); }
 bool DevicePipeline::extract_mesh(bool) { absent(); }
 NanoBuffer DevicePipeline::hull_nanovdb() const { absent(); }
 NanoBuffer DevicePipeline::surface_nanovdb() const { absent(); }
@@ -85,43 +83,6 @@ using cuda::kBlockSide;
 using cuda::kBlockWords;
 using openvdb::Coord;
 using Leaf = openvdb::FloatTree::LeafNodeType;
-
-/// Copies in parallel, so that page-locked memory is filled at the memory's speed.
-void copy_parallel(uint8_t* to, const uint8_t* from, size_t bytes) {
-    constexpr size_t kPiece = 1 << 19;
-    tbb::parallel_for(size_t{0}, (bytes + kPiece - 1) / kPiece, [&](size_t p) { std::memcpy(to + p * kPiece, from + p * kPiece, std::min(kPiece, bytes - p * kPiece)); });
-}
-
-/// Brings device memory home through two pieces of page-locked memory: while one is on its way the other is taken in.
-class Fetcher {
-  public:
-    /// Pieces are multiples of `unit` bytes. `take(piece, offset, bytes)` is called in order.
-    template <class Take>
-    void fetch(const void* device, size_t bytes, size_t unit, const cuda::Stream& stream, const Take& take) {
-        const size_t piece = std::max(kPiece / unit, size_t{1}) * unit;
-        const auto* from = static_cast<const uint8_t*>(device);
-        const size_t pieces = (bytes + piece - 1) / piece;
-        const auto size_of = [&](size_t p) { return std::min(piece, bytes - p * piece); };
-        const auto order = [&](size_t p) {
-            stream.to_host(held_[p % 2].ensure(piece), from + p * piece, size_of(p));
-            arrived_[p % 2].record(stream);
-        };
-        if (pieces) order(0);
-        for (size_t p = 0; p < pieces; ++p) {
-            if (p + 1 < pieces) order(p + 1);
-            arrived_[p % 2].wait();
-            take(held_[p % 2].data(), p * piece, size_of(p));
-        }
-    }
-    void fetch_to(void* to, const void* device, size_t bytes, const cuda::Stream& stream) {
-        fetch(device, bytes, 1, stream, [&](const uint8_t* piece, size_t at, size_t size) { copy_parallel(static_cast<uint8_t*>(to) + at, piece, size); });
-    }
-
-  private:
-    static constexpr size_t kPiece = size_t{8} << 20;
-    cuda::PinnedBuffer<uint8_t> held_[2];
-    cuda::Event arrived_[2];
-};
 
 /// What a level set's leaves look like on the host; tiles follow from the leaves' signs.
 openvdb::FloatGrid::Ptr to_openvdb(const cuda::Grid& grid, const cuda::Stream& stream, const openvdb::math::Transform& transform, Fetcher& fetcher) {
@@ -177,134 +138,60 @@ std::string why_no_cuda() {
     return std::string("this machine has no CUDA device that can be used (") + (error == cudaSuccess ? "none found" : cudaGetErrorString(error)) + ")";
 }
 
-struct DevicePipeline::Parts {
-    /// A level set that was carried here, or made by a stage: its grid and the topology it was built from.
-    struct Volume {
-        cuda::Grid grid;
-        cuda::Topology own;              ///< of an uploaded one
-        cuda::Topology* topology = nullptr;  ///< null: there is none
-        openvdb::math::Transform::Ptr transform;
-    };
-
-    int device;
-    cuda::Stream stream;
-    cuda::StageTimes times;
-    mutable Fetcher fetcher;
-
-    cuda::DistanceStage distance;
-    std::vector<size_t> mask_of;  ///< of the uploaded masks, by view; SIZE_MAX: the view has none
-    struct MaskSize {
-        int width, height;
-        bool ignores;
-    };
-    std::vector<MaskSize> mask_sizes;     ///< of the uploaded ones
-    std::vector<DistanceField> headers;   ///< by view, without samples
-    std::vector<cuda::DeviceField> silhouettes, ignored;
-    cuda::DeviceBuffer<int16_t> uploaded_fields;
-
-    cuda::CarveStage carve;
-    std::optional<CarveOptions> carve_options;
-    std::vector<CarveInput> carve_inputs;  ///< without fields
-    Volume hull, surface;
-    cuda::LevelSetStage level_set;
-    cuda::MeshStage mesh;
-    cuda::DeviceBuffer<float> uploaded_values;
-    cuda::DeviceBuffer<uint64_t> uploaded_active;
-    cuda::DeviceBuffer<uint32_t> uploaded_keys;
-
-    explicit Parts(int d) : device(select(d)) {}
-    static int select(int d) {
-        choose_backend(Backend::Cuda, d);
-        VDBCARVE_CUDA(cudaSetDevice(d));
-        return d;
-    }
-    /// Another pipeline may have chosen another device for this thread.
-    void use() const { VDBCARVE_CUDA(cudaSetDevice(device)); }
-
-    kernel::FieldView view_of(const SampledField& header, const cuda::DeviceField& field) const {
-        kernel::FieldView v = header.view();
-        v.samples = field.samples;
-        v.blocks = field.blocks;
-        v.blocks_per_row = field.blocks_per_row;
-        return v;
-    }
-
-    void upload(Volume& volume, const openvdb::FloatGrid& grid) {
-        if (grid.getGridClass() != openvdb::GRID_LEVEL_SET) throw InputError("grid '" + grid.getName() + "' is no level set");
-        volume.topology = nullptr;
-        volume.transform = same_transform(grid.transform());
-        std::vector<const Leaf*> leaves;
-        grid.tree().getNodes(leaves);
-        // Blocks with leaves, and whole ones inside.
-        std::vector<std::array<int, 3>> origins;
-        using Lower = openvdb::FloatTree::RootNodeType::ChildNodeType::ChildNodeType;
-        using Upper = openvdb::FloatTree::RootNodeType::ChildNodeType;
-        std::vector<const Lower*> lowers;
-        grid.tree().getNodes(lowers);
-        for (const Lower* l : lowers) origins.push_back({l->origin()[0], l->origin()[1], l->origin()[2]});
-        std::vector<const Upper*> uppers;
-        grid.tree().getNodes(uppers);
-        for (const Upper* u : uppers)
-            for (auto tile = u->cbeginValueAll(); tile; ++tile)
-                if (*tile < 0.f) origins.push_back({tile.getCoord()[0], tile.getCoord()[1], tile.getCoord()[2]});
-        volume.own.cover(std::move(origins), stream);
-        volume.topology = &volume.own;
-        const auto& blocks = volume.own.origins();
-        std::vector<uint64_t> exist(blocks.size() * kBlockWords, 0), inside(exist);
-        std::vector<uint32_t> keys;
-        std::vector<float> values(leaves.size() * Leaf::SIZE);
-        std::vector<uint64_t> active(leaves.size() * 8);
-        keys.reserve(leaves.size());
-        for (size_t b = 0; b < blocks.size(); ++b) {
-            const Coord o(blocks[b][0], blocks[b][1], blocks[b][2]);
-            const auto* lower = grid.tree().probeConstNode<Lower>(o);
-            if (!lower) {
-                std::fill_n(inside.begin() + static_cast<long>(b * kBlockWords), kBlockWords, ~uint64_t{0});
-                continue;
-            }
-            for (auto tile = lower->cbeginValueAll(); tile; ++tile)
-                if (*tile < 0.f) inside[b * kBlockWords + tile.pos() / 64] |= uint64_t{1} << (tile.pos() & 63);
-            for (auto child = lower->cbeginChildOn(); child; ++child) {
-                const size_t slot = keys.size();
-                exist[b * kBlockWords + child.pos() / 64] |= uint64_t{1} << (child.pos() & 63);
-                keys.push_back(static_cast<uint32_t>(b * kBlockLeaves + child.pos()));
-                std::memcpy(values.data() + slot * Leaf::SIZE, child->buffer().data(), sizeof(float) * Leaf::SIZE);
-                for (openvdb::Index w = 0; w < 8; ++w) active[slot * 8 + w] = child->valueMask().getWord<openvdb::Index64>(w);
-            }
+void DevicePipeline::Parts::upload(Volume& volume, const openvdb::FloatGrid& grid) {
+    if (grid.getGridClass() != openvdb::GRID_LEVEL_SET) throw InputError("grid '" + grid.getName() + "' is no level set");
+    volume.topology = nullptr;
+    volume.transform = same_transform(grid.transform());
+    std::vector<const Leaf*> leaves;
+    grid.tree().getNodes(leaves);
+    // Blocks with leaves, and whole ones inside.
+    std::vector<std::array<int, 3>> origins;
+    using Lower = openvdb::FloatTree::RootNodeType::ChildNodeType::ChildNodeType;
+    using Upper = openvdb::FloatTree::RootNodeType::ChildNodeType;
+    std::vector<const Lower*> lowers;
+    grid.tree().getNodes(lowers);
+    for (const Lower* l : lowers) origins.push_back({l->origin()[0], l->origin()[1], l->origin()[2]});
+    std::vector<const Upper*> uppers;
+    grid.tree().getNodes(uppers);
+    for (const Upper* u : uppers)
+        for (auto tile = u->cbeginValueAll(); tile; ++tile)
+            if (*tile < 0.f) origins.push_back({tile.getCoord()[0], tile.getCoord()[1], tile.getCoord()[2]});
+    volume.own.cover(std::move(origins), stream);
+    volume.topology = &volume.own;
+    const auto& blocks = volume.own.origins();
+    std::vector<uint64_t> exist(blocks.size() * kBlockWords, 0), inside(exist);
+    std::vector<uint32_t> keys;
+    std::vector<float> values(leaves.size() * Leaf::SIZE);
+    std::vector<uint64_t> active(leaves.size() * 8);
+    keys.reserve(leaves.size());
+    for (size_t b = 0; b < blocks.size(); ++b) {
+        const Coord o(blocks[b][0], blocks[b][1], blocks[b][2]);
+        const auto* lower = grid.tree().probeConstNode<Lower>(o);
+        if (!lower) {
+            std::fill_n(inside.begin() + static_cast<long>(b * kBlockWords), kBlockWords, ~uint64_t{0});
+            continue;
         }
-        const cuda::TopologyView view = volume.own.view();
-        stream.to_device(view.leaves, exist.data(), exist.size());
-        stream.to_device(view.inside, inside.data(), inside.size());
-        stream.to_device(uploaded_values.ensure(values.size()), values.data(), values.size());
-        stream.to_device(uploaded_active.ensure(active.size()), active.data(), active.size());
-        stream.to_device(uploaded_keys.ensure(keys.size()), keys.data(), keys.size());
-        volume.own.number_leaves(stream);
-        volume.grid.build(volume.own, spec_of(grid.getName(), *volume.transform, grid.background()), {uploaded_values.data(), uploaded_active.data(), uploaded_keys.data(), static_cast<uint32_t>(keys.size())},
-                          stream);
-        stream.wait();
+        for (auto tile = lower->cbeginValueAll(); tile; ++tile)
+            if (*tile < 0.f) inside[b * kBlockWords + tile.pos() / 64] |= uint64_t{1} << (tile.pos() & 63);
+        for (auto child = lower->cbeginChildOn(); child; ++child) {
+            const size_t slot = keys.size();
+            exist[b * kBlockWords + child.pos() / 64] |= uint64_t{1} << (child.pos() & 63);
+            keys.push_back(static_cast<uint32_t>(b * kBlockLeaves + child.pos()));
+            std::memcpy(values.data() + slot * Leaf::SIZE, child->buffer().data(), sizeof(float) * Leaf::SIZE);
+            for (openvdb::Index w = 0; w < 8; ++w) active[slot * 8 + w] = child->valueMask().getWord<openvdb::Index64>(w);
+        }
     }
-
-    static cuda::GridSpec spec_of(const std::string& name, const openvdb::math::Transform& transform, float background) {
-        const kernel::LatticeFrame frame = lattice_frame(transform);
-        return {name, frame.voxel_size, {frame.first[0], frame.first[1], frame.first[2]}, background};
-    }
-
-    const Volume& need(const Volume& volume, const char* what) const {
-        if (!volume.topology) throw UsageError(std::string("the device holds no ") + what);
-        return volume;
-    }
-
-    NanoBuffer bytes_of(const Volume& volume) const {
-        NanoBuffer out = allocate_nanovdb(volume.grid.size());
-        fetcher.fetch_to(out.data.get(), volume.grid.grid(), volume.grid.size(), stream);
-        return out;
-    }
-    NanoBuffer nanovdb_of(const Volume& volume) const {
-        NanoBuffer out = bytes_of(volume);
-        finish_nanovdb(out, *volume.transform);
-        return out;
-    }
-};
+    const cuda::TopologyView view = volume.own.view();
+    stream.to_device(view.leaves, exist.data(), exist.size());
+    stream.to_device(view.inside, inside.data(), inside.size());
+    stream.to_device(uploaded_values.ensure(values.size()), values.data(), values.size());
+    stream.to_device(uploaded_active.ensure(active.size()), active.data(), active.size());
+    stream.to_device(uploaded_keys.ensure(keys.size()), keys.data(), keys.size());
+    volume.own.number_leaves(stream);
+    volume.grid.build(volume.own, spec_of(grid.getName(), *volume.transform, grid.background()), {uploaded_values.data(), uploaded_active.data(), uploaded_keys.data(), static_cast<uint32_t>(keys.size())},
+                      stream);
+    stream.wait();
+}
 
 DevicePipeline::DevicePipeline(int device) : parts_(std::make_unique<Parts>(device)) {}
 DevicePipeline::~DevicePipeline() = default;
@@ -645,7 +532,7 @@ std::vector<std::pair<std::string, double>> DevicePipeline::milliseconds() const
 void DevicePipeline::clear_times() { parts_->times.clear(); }
 size_t DevicePipeline::bytes() const {
     const Parts& p = *parts_;
-    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.mesh.bytes() + p.uploaded_values.bytes();
+    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.mesh.bytes() + p.color.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
 }
 size_t DevicePipeline::free_bytes() const {
     parts_->use();

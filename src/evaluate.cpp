@@ -12,122 +12,20 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <numbers>
-#include <random>
-#include <unsupported/Eigen/BVH>
 
+#include "triangle_tree.h"
 #include "vdbcarve/error.h"
 
 namespace vdbcarve {
 namespace {
 
-struct Triangle {
-    Vec3d a, b, c;
-    Vec3d normal() const { return (b - a).cross(c - a); }
-};
-
-/// Nearest point of a triangle (Ericson, Real-Time Collision Detection, 5.1.5).
-Vec3d nearest_point(const Triangle& t, const Vec3d& p) {
-    const Vec3d ab = t.b - t.a, ac = t.c - t.a, ap = p - t.a;
-    const double d1 = ab.dot(ap), d2 = ac.dot(ap);
-    if (d1 <= 0 && d2 <= 0) return t.a;
-    const Vec3d bp = p - t.b;
-    const double d3 = ab.dot(bp), d4 = ac.dot(bp);
-    if (d3 >= 0 && d4 <= d3) return t.b;
-    const double vc = d1 * d4 - d3 * d2;
-    if (vc <= 0 && d1 >= 0 && d3 <= 0) return t.a + d1 / (d1 - d3) * ab;
-    const Vec3d cp = p - t.c;
-    const double d5 = ab.dot(cp), d6 = ac.dot(cp);
-    if (d6 >= 0 && d5 <= d6) return t.c;
-    const double vb = d5 * d2 - d1 * d6;
-    if (vb <= 0 && d2 >= 0 && d6 <= 0) return t.a + d2 / (d2 - d6) * ac;
-    const double va = d3 * d6 - d5 * d4;
-    if (va <= 0 && d4 - d3 >= 0 && d5 - d6 >= 0) return t.b + (d4 - d3) / ((d4 - d3) + (d5 - d6)) * (t.c - t.b);
-    const double sum = va + vb + vc;
-    if (sum == 0) return t.a;
-    return t.a + vb / sum * ab + vc / sum * ac;
-}
-
-class Surface {
-  public:
-    Surface(const Mesh& mesh, const Similarity& place) {
-        std::vector<Eigen::AlignedBox3d> boxes;
-        std::vector<int> numbers;
-        for (const auto& f : mesh.triangles) {
-            const auto at = [&](size_t c) {
-                const auto& v = mesh.vertices[f[c]];
-                return place * Vec3d(v[0], v[1], v[2]);
-            };
-            triangles_.push_back({at(0), at(1), at(2)});
-            Eigen::AlignedBox3d box(triangles_.back().a);
-            box.extend(triangles_.back().b);
-            box.extend(triangles_.back().c);
-            boxes.push_back(box);
-            box_.extend(box);
-            numbers.push_back(static_cast<int>(numbers.size()));
-        }
-        tree_.init(numbers.begin(), numbers.end(), boxes.begin(), boxes.end());
-    }
-
-    struct Nearest {
-        double distance;
-        int triangle;
-    };
-    Nearest nearest(const Vec3d& p) const {
-        struct Minimizer {
-            using Scalar = double;
-            const std::vector<Triangle>& triangles;
-            const Vec3d& p;
-            double best = INFINITY;
-            int which = -1;
-            double minimumOnVolume(const Eigen::AlignedBox3d& box) const { return box.squaredExteriorDistance(p); }
-            double minimumOnObject(int n) {
-                const double d2 = (nearest_point(triangles[static_cast<size_t>(n)], p) - p).squaredNorm();
-                if (d2 < best) {
-                    best = d2;
-                    which = n;
-                }
-                return d2;
-            }
-        } minimizer{triangles_, p};
-        Eigen::BVMinimize(tree_, minimizer);
-        return {std::sqrt(minimizer.best), minimizer.which};
-    }
-
-    struct Sample {
-        Vec3d point, normal;
-    };
-    /// Evenly by area: one random point in each of `count` equal shares of the area.
-    std::vector<Sample> samples(size_t count, uint64_t seed) const {
-        std::vector<double> sum{0};
-        for (const Triangle& t : triangles_) sum.push_back(sum.back() + 0.5 * t.normal().norm());
-        std::mt19937_64 engine(seed);
-        const auto random = [&] { return static_cast<double>(engine() >> 11) * 0x1p-53; };
-        std::vector<Sample> out;
-        for (size_t n = 0; n < count; ++n) {
-            const double at = (static_cast<double>(n) + random()) / static_cast<double>(count) * sum.back();
-            const auto i = std::min(triangles_.size() - 1, static_cast<size_t>(std::upper_bound(sum.begin(), sum.end(), at) - sum.begin() - 1));
-            const Triangle& t = triangles_[i];
-            const double r = std::sqrt(random()), s = random();
-            out.push_back({(1 - r) * t.a + r * (1 - s) * t.b + r * s * t.c, t.normal().normalized()});
-        }
-        return out;
-    }
-    const Triangle& triangle(int n) const { return triangles_[static_cast<size_t>(n)]; }
-    const Eigen::AlignedBox3d& box() const { return box_; }
-
-  private:
-    std::vector<Triangle> triangles_;
-    Eigen::KdBVH<double, 3, int> tree_;
-    Eigen::AlignedBox3d box_;
-};
-
 double share(const std::vector<double>& sorted, double s) { return sorted[static_cast<size_t>(s * static_cast<double>(sorted.size() - 1))]; }
 
-SurfaceDistances distances(const std::vector<Surface::Sample>& points, const Surface& to, double threshold, std::vector<double>* angles_deg) {
+SurfaceDistances distances(const std::vector<TriangleTree::Sample>& points, const TriangleTree& to, double threshold, std::vector<double>* angles_deg) {
     std::vector<double> d(points.size());
     if (angles_deg) angles_deg->resize(points.size());
     tbb::parallel_for(size_t{0}, points.size(), [&](size_t n) {
-        const Surface::Nearest nearest = to.nearest(points[n].point);
+        const TriangleTree::Nearest nearest = to.nearest(points[n].point);
         d[n] = nearest.distance;
         if (angles_deg) {
             const double cosine = std::clamp(points[n].normal.dot(to.triangle(nearest.triangle).normal().normalized()), -1.0, 1.0);
@@ -151,6 +49,10 @@ SurfaceDistances distances(const std::vector<Surface::Sample>& points, const Sur
     out.p95 = share(d, 0.95);
     out.max = d.back();
     return out;
+}
+
+TriangleTree::Place place_of(const Similarity& s) {
+    return [s](const Vec3d& p) { return s * p; };
 }
 
 openvdb::FloatGrid::Ptr level_set_of(const Mesh& mesh, const Similarity& place, double voxel) {
@@ -194,7 +96,7 @@ Evaluation evaluate(const Mesh& mesh, const Mesh& truth, const EvaluateOptions& 
     progress.begin("evaluate", 4);
     Evaluation out;
     out.align = options.align.value_or(Similarity());
-    const Surface a(mesh, out.align), b(truth, {});
+    const TriangleTree a(mesh, place_of(out.align)), b(truth);
     out.truth_size = b.box().sizes().maxCoeff();
     out.threshold = options.threshold > 0 ? options.threshold : 0.01 * out.truth_size;
     progress.step();

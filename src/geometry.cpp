@@ -4,6 +4,7 @@
 #include <Eigen/Dense>
 #include <Eigen/SVD>
 #include <cmath>
+#include <numbers>
 
 #include "vdbcarve/error.h"
 
@@ -106,6 +107,11 @@ Mat3d rotation_from_quaternion(double w, double x, double y, double z) {
     const Eigen::Quaterniond q(w, x, y, z);
     if (!(q.norm() > 0) || !std::isfinite(q.norm())) throw InputError("a rotation quaternion is zero or not finite");
     return q.normalized().toRotationMatrix();
+}
+
+Mat3d turned(const Vec3d& degrees) {
+    const Vec3d r = degrees * std::numbers::pi / 180;
+    return (Eigen::AngleAxisd(r.z(), Vec3d::UnitZ()) * Eigen::AngleAxisd(r.y(), Vec3d::UnitY()) * Eigen::AngleAxisd(r.x(), Vec3d::UnitX())).toRotationMatrix();
 }
 
 bool is_rotation(const Mat3d& m, double tolerance) {

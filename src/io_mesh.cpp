@@ -8,7 +8,10 @@
 #include <cmath>
 #include <cstring>
 
+#include <tbb/parallel_for.h>
+
 #include "atomic_file.h"
+#include "vdbcarve/color_space.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/triangle_mesh.h"
 
@@ -28,6 +31,7 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
     }
     OpenMesh::VertexHandle add_vertex() override { return add_vertex(OpenMesh::Vec3f(0, 0, 0)); }
     OpenMesh::FaceHandle add_face(const VHandles& v) override {
+        last_face_ = mesh_.triangles.size();
         for (size_t i = 2; i < v.size(); ++i)
             mesh_.triangles.push_back({static_cast<uint32_t>(v[0].idx()), static_cast<uint32_t>(v[i - 1].idx()), static_cast<uint32_t>(v[i].idx())});
         return OpenMesh::FaceHandle(static_cast<int>(faces_++));
@@ -47,10 +51,13 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
     void set_normal(OpenMesh::VertexHandle v, const OpenMesh::Vec3d& n) override { set_normal(v, OpenMesh::Vec3f(n)); }
     void set_normal(OpenMesh::FaceHandle, const OpenMesh::Vec3f&) override {}
     void set_normal(OpenMesh::FaceHandle, const OpenMesh::Vec3d&) override {}
-    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec3uc&) override {}
-    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec4uc&) override {}
-    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec3f&) override {}
-    void set_color(OpenMesh::VertexHandle, const OpenMesh::Vec4f&) override {}
+    void set_color(OpenMesh::VertexHandle v, const OpenMesh::Vec3uc& c) override { set_color(v, OpenMesh::Vec3f(c[0], c[1], c[2]) / 255.f); }
+    void set_color(OpenMesh::VertexHandle v, const OpenMesh::Vec4uc& c) override { set_color(v, OpenMesh::Vec3f(c[0], c[1], c[2]) / 255.f); }
+    void set_color(OpenMesh::VertexHandle v, const OpenMesh::Vec3f& c) override {
+        mesh_.colors.resize(mesh_.vertices.size());
+        for (size_t i = 0; i < 3; ++i) mesh_.colors[static_cast<size_t>(v.idx())][i] = static_cast<float>(linear_from_srgb(c[static_cast<unsigned>(i)]));
+    }
+    void set_color(OpenMesh::VertexHandle v, const OpenMesh::Vec4f& c) override { set_color(v, OpenMesh::Vec3f(c[0], c[1], c[2])); }
     void set_color(OpenMesh::FaceHandle, const OpenMesh::Vec3uc&) override {}
     void set_color(OpenMesh::FaceHandle, const OpenMesh::Vec4uc&) override {}
     void set_color(OpenMesh::FaceHandle, const OpenMesh::Vec3f&) override {}
@@ -67,7 +74,13 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
     void set_status(OpenMesh::HalfedgeHandle, const OpenMesh::Attributes::StatusInfo&) override {}
     void set_status(OpenMesh::EdgeHandle, const OpenMesh::Attributes::StatusInfo&) override {}
     void set_status(OpenMesh::FaceHandle, const OpenMesh::Attributes::StatusInfo&) override {}
-    void add_face_texcoords(OpenMesh::FaceHandle, OpenMesh::VertexHandle, const std::vector<OpenMesh::Vec2f>&) override {}
+    void add_face_texcoords(OpenMesh::FaceHandle, OpenMesh::VertexHandle, const std::vector<OpenMesh::Vec2f>& t) override {
+        mesh_.texcoords.resize(mesh_.triangles.size());
+        for (size_t i = 2; i < t.size() && last_face_ + i - 2 < mesh_.triangles.size(); ++i) {
+            size_t corner = 0;
+            for (const size_t from : {size_t{0}, i - 1, i}) mesh_.texcoords[last_face_ + i - 2][corner++] = {t[from][0], t[from][1]};
+        }
+    }
     void add_face_texcoords(OpenMesh::FaceHandle, OpenMesh::VertexHandle, const std::vector<OpenMesh::Vec3f>&) override {}
     void set_face_texindex(OpenMesh::FaceHandle, int) override {}
     void add_texture_information(int, std::string) override {}
@@ -78,7 +91,7 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
 
   private:
     Mesh& mesh_;
-    size_t faces_ = 0;
+    size_t faces_ = 0, last_face_ = 0;
     OpenMesh::ArrayKernel kernel_;
 };
 
@@ -104,21 +117,22 @@ void weld(Mesh& mesh) {
 
 void put(std::string& out, const void* data, size_t bytes) { out.append(static_cast<const char*>(data), bytes); }
 
+std::array<uint8_t, 3> srgb8(const std::array<float, 3>& linear) { return {srgb8_from_linear(linear[0]), srgb8_from_linear(linear[1]), srgb8_from_linear(linear[2])}; }
+
 void write_ply(std::ostream& out, const Mesh& mesh) {
-    out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size()
-        << "\nproperty float x\nproperty float y\nproperty float z\n" << (mesh.normals.empty() ? "" : "property float nx\nproperty float ny\nproperty float nz\n") << "element face "
+    const bool normals = !mesh.normals.empty(), colors = !mesh.colors.empty();
+    out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size() << "\nproperty float x\nproperty float y\nproperty float z\n"
+        << (normals ? "property float nx\nproperty float ny\nproperty float nz\n" : "") << (colors ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "") << "element face "
         << mesh.triangles.size() << "\nproperty list uchar int vertex_indices\nend_header\n";
-    if (mesh.normals.empty()) {
-        out.write(reinterpret_cast<const char*>(mesh.vertices.data()), static_cast<std::streamsize>(mesh.vertices.size() * 12));
-    } else {
-        std::string points;
-        points.reserve(mesh.vertices.size() * 24);
-        for (size_t v = 0; v < mesh.vertices.size(); ++v) {
-            put(points, mesh.vertices[v].data(), 12);
-            put(points, mesh.normals[v].data(), 12);
-        }
-        out.write(points.data(), static_cast<std::streamsize>(points.size()));
-    }
+    const size_t stride = 12 + (normals ? 12 : 0) + (colors ? 3 : 0);
+    std::string points(mesh.vertices.size() * stride, '\0');
+    tbb::parallel_for(size_t{0}, mesh.vertices.size(), [&](size_t v) {
+        char* at = points.data() + v * stride;
+        std::memcpy(at, mesh.vertices[v].data(), 12);
+        if (normals) std::memcpy(at + 12, mesh.normals[v].data(), 12);
+        if (colors) std::memcpy(at + stride - 3, srgb8(mesh.colors[v]).data(), 3);
+    });
+    out.write(points.data(), static_cast<std::streamsize>(points.size()));
     std::string faces;
     faces.reserve(mesh.triangles.size() * 13);
     for (const auto& t : mesh.triangles) {
@@ -143,10 +157,16 @@ void write_obj(std::ostream& out, const Mesh& mesh, const std::string& up) {
     const auto r = to_y_up(up);
     std::string text;
     char line[128];
-    for (const auto& p : mesh.vertices) {
+    for (size_t v = 0; v < mesh.vertices.size(); ++v) {
+        const auto& p = mesh.vertices[v];
         float q[3];
         for (size_t i = 0; i < 3; ++i) q[i] = r[i][0] * p[0] + r[i][1] * p[1] + r[i][2] * p[2];
-        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "v %.9g %.9g %.9g\n", q[0], q[1], q[2])));
+        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "v %.9g %.9g %.9g", q[0], q[1], q[2])));
+        if (!mesh.colors.empty()) {
+            const auto c = srgb8(mesh.colors[v]);
+            text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, " %.4f %.4f %.4f", c[0] / 255.0, c[1] / 255.0, c[2] / 255.0)));
+        }
+        text.push_back('\n');
     }
     for (const auto& t : mesh.triangles)
         text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "f %u %u %u\n", t[0] + 1, t[1] + 1, t[2] + 1)));
@@ -188,11 +208,13 @@ Mesh read_mesh(const fs::path& file) {
     if (!fs::is_regular_file(file)) throw InputError(file.string() + ": no such file");
     Mesh mesh;
     ArrayImporter importer(mesh);
-    OpenMesh::IO::Options options(file.extension() == ".ply" ? OpenMesh::IO::Options::VertexNormal : OpenMesh::IO::Options::Default);
+    OpenMesh::IO::Options options(OpenMesh::IO::Options::VertexColor | (file.extension() == ".ply" ? OpenMesh::IO::Options::VertexNormal : OpenMesh::IO::Options::FaceTexCoord));
     omerr().disable();
     if (!OpenMesh::IO::IOManager().read(file.string(), importer, options))
         throw InputError(file.string() + ": is not a mesh that can be read (.ply, .obj, .stl, .off)");
     if (mesh.triangles.empty()) throw InputError(file.string() + ": has no faces");
+    if (!mesh.colors.empty()) mesh.colors.resize(mesh.vertices.size());
+    if (!mesh.texcoords.empty()) mesh.texcoords.resize(mesh.triangles.size());
     for (const auto& t : mesh.triangles)
         for (uint32_t v : t)
             if (v >= mesh.vertices.size()) throw InputError(file.string() + ": a face names vertex " + std::to_string(v) + " of " + std::to_string(mesh.vertices.size()));

@@ -22,8 +22,9 @@ namespace {
 
 nanovdb::NanoGrid<float>* grid_in(const NanoBuffer& buffer) { return reinterpret_cast<nanovdb::NanoGrid<float>*>(buffer.data.get()); }
 
-Handle handle_of(const openvdb::FloatGrid& grid) {
-    return nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::All, nanovdb::ChecksumMode::Full);
+Handle handle_of(const openvdb::FloatGrid& grid, bool finished = true) {
+    return finished ? nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::All, nanovdb::ChecksumMode::Full)
+                    : nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::Disable, nanovdb::ChecksumMode::Disable);
 }
 
 }  // namespace
@@ -51,8 +52,8 @@ void finish_nanovdb(NanoBuffer& buffer, const openvdb::math::Transform& transfor
     nanovdb::updateChecksum(*grid, nanovdb::ChecksumMode::Full);
 }
 
-NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid) {
-    const Handle handle = handle_of(grid);
+NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid, bool finished) {
+    const Handle handle = handle_of(grid, finished);
     NanoBuffer out = allocate_nanovdb(handle.size());
     std::memcpy(out.data.get(), handle.data(), out.size);
     return out;

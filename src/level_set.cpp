@@ -12,8 +12,8 @@
 #include <array>
 #include <atomic>
 #include <cmath>
-#include <unordered_map>
 
+#include "leaf_neighbours.h"
 #include "vdbcarve/device.h"
 #include "vdbcarve/kernel/level_set.h"
 #include "same_transform.h"
@@ -24,23 +24,6 @@ namespace vdbcarve {
 namespace {
 
 using Leaf = openvdb::FloatTree::LeafNodeType;
-
-/// The six neighbours of every leaf by number, -1 where there is none: -x +x -y +y -z +z.
-std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leaves) {
-    std::unordered_map<openvdb::Coord, int32_t> number;
-    number.reserve(2 * leaves.size());
-    for (size_t n = 0; n < leaves.size(); ++n) number[leaves[n]->origin()] = static_cast<int32_t>(n);
-    std::vector<std::array<int32_t, 6>> out(leaves.size());
-    tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t n) {
-        for (int f = 0; f < 6; ++f) {
-            openvdb::Coord c = leaves[n]->origin();
-            c[f / 2] += f % 2 ? 8 : -8;
-            const auto found = number.find(c);
-            out[n][static_cast<size_t>(f)] = found == number.end() ? -1 : found->second;
-        }
-    });
-    return out;
-}
 
 /// Where voxel (i, j, k), each -1..8, of a leaf stands in a 10^3 halo.
 constexpr int halo_at(int i, int j, int k) { return (i + 1) * 100 + (j + 1) * 10 + (k + 1); }

@@ -13,8 +13,8 @@ NanoBuffer allocate_nanovdb(size_t bytes);
 /// Fills what a grid built on the device lacks: the affine map as OpenVDB states it, bounding boxes and statistics of all nodes, checksum.
 void finish_nanovdb(NanoBuffer& grid, const openvdb::math::Transform& transform);
 
-/// The grid as NanoVDB, by NanoVDB's own converter.
-NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid);
+/// The grid as NanoVDB, by NanoVDB's own converter; without statistics and checksum where `finished` is false.
+NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid, bool finished = true);
 
 /// NanoVDB's validator, checksum included. What is wrong, or nothing.
 std::string invalid_nanovdb(const NanoBuffer& grid);

@@ -10,9 +10,10 @@
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <random>
-#include <unsupported/Eigen/BVH>
 
 #include "io_image.h"
+#include "triangle_tree.h"
+#include "vdbcarve/color_space.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/render.h"
@@ -143,12 +144,6 @@ struct Direction {
 
 constexpr double rad(double deg) { return deg * kPi / 180; }
 
-/// Turns about x, then y, then z.
-Mat3d turned(const Vec3d& degrees) {
-    const Vec3d r = degrees * kPi / 180;
-    return (Eigen::AngleAxisd(r.z(), Vec3d::UnitZ()) * Eigen::AngleAxisd(r.y(), Vec3d::UnitY()) * Eigen::AngleAxisd(r.x(), Vec3d::UnitX())).toRotationMatrix();
-}
-
 std::vector<Direction> directions(const Rig& rig) {
     std::vector<Direction> out;
     const auto ring = [&](int views, double elevation_deg, double phase, double arc_deg) {
@@ -210,14 +205,9 @@ Vec3d room(const Vec3d& d) {
     return floor * stripe * wall * Vec3d(0.9, 1.0, 1.05 + 0.3 * m);
 }
 
-uint8_t to_srgb(double linear) {
-    linear = std::clamp(linear, 0.0, 1.0);
-    const double s = linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(linear, 1 / 2.4) - 0.055;
-    return static_cast<uint8_t>(std::lround(255 * s));
-}
-
 struct SurfacePoint {
     Vec3d position, normal;
+    int part;  ///< number of the solid or face
 };
 
 /// The object, solids or mesh, as the renderer asks it.
@@ -238,14 +228,7 @@ class Object {
         if (spec.solids.empty()) {
             for (const auto& v : spec.mesh.vertices) radius_ = std::max(radius_, (Vec3d(v[0], v[1], v[2]) - centre_).norm());
             if (spec.photos && spec.look.table) {
-                std::vector<int> numbers;
-                std::vector<Eigen::AlignedBox3d> boxes;
-                for (const auto& f : spec.mesh.triangles) {
-                    numbers.push_back(static_cast<int>(numbers.size()));
-                    boxes.emplace_back();
-                    for (const uint32_t c : f) boxes.back().extend(Vec3d(spec.mesh.vertices[c][0], spec.mesh.vertices[c][1], spec.mesh.vertices[c][2]));
-                }
-                tree_.init(numbers.begin(), numbers.end(), boxes.begin(), boxes.end());
+                tree_.emplace(spec.mesh);
             }
         } else {
             // The balls around solids are generous; what counts is where the union really ends.
@@ -309,7 +292,7 @@ class Object {
                 if (!spec_.solids.empty()) {
                     if (const auto t = hit(ray)) {
                         const Vec3d p = ray.origin + *t * ray.direction;
-                        point = SurfacePoint{p, with_normals ? gradient(p) : Vec3d::Zero().eval()};
+                        point = with_normals ? SurfacePoint{p, gradient(p), nearest_solid(p)} : SurfacePoint{p, Vec3d::Zero(), 0};
                     }
                 } else if (const uint32_t face = raster.face.at(x, y); face != UINT32_MAX) {
                     Vec3d v[3];
@@ -318,7 +301,7 @@ class Object {
                         v[c] = Vec3d(q[0], q[1], q[2]);
                     }
                     const double along = raster.depth.at(x, y) / ray.direction.dot(camera.forward_world());
-                    point = SurfacePoint{ray.origin + along * ray.direction, (v[1] - v[0]).cross(v[2] - v[0]).normalized()};
+                    point = SurfacePoint{ray.origin + along * ray.direction, (v[1] - v[0]).cross(v[2] - v[0]).normalized(), static_cast<int>(face)};
                 }
             }
         return out;
@@ -326,11 +309,45 @@ class Object {
 
     /// Distance along a ray to the first surface point. Meshes: by a bounding volume hierarchy.
     std::optional<double> hit(const Camera::Ray& ray) const {
-        if (spec_.solids.empty()) return hit_mesh(ray);
+        if (spec_.solids.empty()) return tree_->hit(ray);
         std::optional<double> nearest;
         for (const Solid& s : spec_.solids)
             if (const auto t = s.hit(ray); t && (!nearest || *t < *nearest)) nearest = t;
         return nearest;
+    }
+    /// The surface point nearest to a place, and its distance. Solids: by steps along the gradient.
+    SurfacePoint nearest(const Vec3d& p, double& distance) const {
+        if (spec_.solids.empty()) {
+            if (!tree_) tree_.emplace(spec_.mesh);
+            const TriangleTree::Nearest n = tree_->nearest(p);
+            distance = n.distance;
+            return {tree_->nearest_on(n.triangle, p), tree_->triangle(n.triangle).normal().normalized(), n.triangle};
+        }
+        Vec3d q = p;
+        for (int step = 0; step < 20; ++step) q -= value(q) * gradient(q);
+        distance = (q - p).norm();
+        return {q, gradient(q), nearest_solid(q)};
+    }
+    void prepare_nearest() const {
+        if (spec_.solids.empty() && !tree_) tree_.emplace(spec_.mesh);
+    }
+    /// Linear colour of the surface itself.
+    Vec3d albedo_at(const SurfacePoint& p) const {
+        const auto part = static_cast<size_t>(p.part);
+        const Vec3d place = (p.position - centre_) / radius_;
+        if (!spec_.solids.empty() && spec_.solids[part].color) return *spec_.solids[part].color * (0.75 + 0.5 * noise(7 * place));
+        if (spec_.solids.empty() && !spec_.texture.empty() && !spec_.mesh.texcoords.empty()) {
+            const auto& f = spec_.mesh.triangles[part];
+            const auto at = [&](size_t c) { return Vec3d(spec_.mesh.vertices[f[c]][0], spec_.mesh.vertices[f[c]][1], spec_.mesh.vertices[f[c]][2]); };
+            const Vec3d w = Triangle{at(0), at(1), at(2)}.weights(p.position);
+            double u = 0, v = 0;
+            for (size_t c = 0; c < 3; ++c) {
+                u += w[static_cast<Eigen::Index>(c)] * spec_.mesh.texcoords[part][c][0];
+                v += w[static_cast<Eigen::Index>(c)] * spec_.mesh.texcoords[part][c][1];
+            }
+            return texture_at(u, v);
+        }
+        return albedo(place);
     }
     /// Height of the lowest point along an axis.
     double lowest(const Vec3d& up) const {
@@ -340,43 +357,35 @@ class Object {
     }
 
   private:
-    std::optional<double> hit_mesh(const Camera::Ray& ray) const {
-        struct Walker {
-            const Mesh& mesh;
-            const Camera::Ray& ray;
-            double nearest = INFINITY;
-            bool intersectVolume(const Eigen::AlignedBox3d& box) const {
-                double t0 = 0, t1 = nearest;
-                for (int a = 0; a < 3; ++a) {
-                    const double u = (box.min()[a] - ray.origin[a]) / ray.direction[a], v = (box.max()[a] - ray.origin[a]) / ray.direction[a];
-                    t0 = std::max(t0, std::min(u, v));
-                    t1 = std::min(t1, std::max(u, v));
-                }
-                return t0 <= t1;
-            }
-            bool intersectObject(int n) {
-                // Moeller and Trumbore 1997.
-                Vec3d v[3];
-                for (size_t c = 0; c < 3; ++c) {
-                    const auto& q = mesh.vertices[mesh.triangles[static_cast<size_t>(n)][c]];
-                    v[c] = Vec3d(q[0], q[1], q[2]);
-                }
-                const Vec3d e1 = v[1] - v[0], e2 = v[2] - v[0], p = ray.direction.cross(e2);
-                const double det = e1.dot(p);
-                if (det == 0) return false;
-                const Vec3d s = ray.origin - v[0], q = s.cross(e1);
-                const double a = s.dot(p) / det, b = ray.direction.dot(q) / det, t = e2.dot(q) / det;
-                if (a >= 0 && b >= 0 && a + b <= 1 && t > 0) nearest = std::min(nearest, t);
-                return false;
-            }
-        } walker{spec_.mesh, ray};
-        Eigen::BVIntersect(tree_, walker);
-        return std::isfinite(walker.nearest) ? std::optional(walker.nearest) : std::nullopt;
-    }
     double value(const Vec3d& p) const {
         double v = INFINITY;
         for (const Solid& s : spec_.solids) v = std::min(v, s.value(p));
         return v;
+    }
+    int nearest_solid(const Vec3d& p) const {
+        size_t best = 0;
+        for (size_t s = 1; s < spec_.solids.size(); ++s)
+            if (spec_.solids[s].value(p) < spec_.solids[best].value(p)) best = s;
+        return static_cast<int>(best);
+    }
+    /// Bilinear in linear light; v upwards, repeated.
+    Vec3d texture_at(double u, double v) const {
+        const Image8& t = spec_.texture;
+        const double x = (u - std::floor(u)) * t.width - 0.5, y = (1 - (v - std::floor(v))) * t.height - 0.5;
+        const double fx = std::floor(x), fy = std::floor(y), a = x - fx, b = y - fy;
+        static const std::vector<double> linear = [] {
+            std::vector<double> out;
+            for (int i = 0; i < 256; ++i) out.push_back(linear_from_srgb(i / 255.0));
+            return out;
+        }();
+        const auto texel = [&](double i, double j, int c) {
+            const int ix = std::clamp(static_cast<int>(i), 0, t.width - 1), iy = std::clamp(static_cast<int>(j), 0, t.height - 1);
+            return linear[t.at(ix, iy, t.channels < 3 ? 0 : c)];
+        };
+        Vec3d out;
+        for (int c = 0; c < 3; ++c)
+            out[c] = (1 - b) * ((1 - a) * texel(fx, fy, c) + a * texel(fx + 1, fy, c)) + b * ((1 - a) * texel(fx, fy + 1, c) + a * texel(fx + 1, fy + 1, c));
+        return out;
     }
     Vec3d gradient(const Vec3d& p) const {
         const double h = 1e-5 * radius_;
@@ -425,25 +434,39 @@ class Object {
     Vec3d centre_ = Vec3d::Zero();
     double radius_ = 0;
     Mesh truth_;
-    Eigen::KdBVH<double, 3, int> tree_;  ///< of the mesh's faces
+    mutable std::optional<TriangleTree> tree_;  ///< of the mesh's faces
 };
 
 /// Where light and room stand: their frame is the camera's for a turntable, the object's otherwise.
 struct Room {
     Mat3d room_from_scene;
     Vec3d up_scene;  ///< the table's normal
+
+    Vec3d key() const { return room_from_scene.transpose() * Vec3d(0.5, -0.6, 0.9).normalized(); }
+    Vec3d fill() const { return room_from_scene.transpose() * Vec3d(-0.8, 0.3, 0.2).normalized(); }
+    /// Light that a matt white surface sends back.
+    double diffuse(const Vec3d& normal, const PhotoLook& look) const {
+        if (look.flat) return 1;
+        return 0.22 + 0.75 * std::max(0.0, normal.dot(key())) + 0.25 * std::max(0.0, normal.dot(fill()));
+    }
 };
 
-Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface& surface, const PhotoLook& look, const Room& place) {
+Room room_of(const Rig& rig, double azimuth_rad, const Mat3d& side_from_scene) {
+    Room place;
+    place.up_scene = side_from_scene.transpose() * Vec3d::UnitZ();
+    place.room_from_scene = side_from_scene;
+    if (rig.motion == Rig::Motion::Turntable) place.room_from_scene = Mat3d(Eigen::AngleAxisd(-azimuth_rad, Vec3d::UnitZ())) * side_from_scene;
+    return place;
+}
+
+Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface& surface, const PhotoLook& look, const Room& place, double exposure) {
     const Intrinsics& k = camera.intrinsics;
     Image8 out(k.width_px, k.height_px, 3);
-    const Mat3d scene_from_room = place.room_from_scene.transpose();
-    const Vec3d key = scene_from_room * Vec3d(0.5, -0.6, 0.9).normalized(), fill = scene_from_room * Vec3d(-0.8, 0.3, 0.2).normalized();
+    const Vec3d key = place.key();
     const double foot = look.table ? object.lowest(place.up_scene) : 0;
     const auto shade = [&](const SurfacePoint& p, const Vec3d& to_eye) {
-        const double lambert = 0.22 + 0.75 * std::max(0.0, p.normal.dot(key)) + 0.25 * std::max(0.0, p.normal.dot(fill));
         const double highlight = look.gloss > 0 && p.normal.dot(key) > 0 ? look.gloss * std::pow(std::max(0.0, p.normal.dot((key + to_eye).normalized())), 60) : 0;
-        return Vec3d(lambert * albedo((p.position - object.centre()) / object.radius()) + Vec3d::Constant(highlight));
+        return Vec3d(place.diffuse(p.normal, look) * object.albedo_at(p) + Vec3d::Constant(highlight));
     };
     // What a ray sees past the object: the room, or the table with the object's shadow and reflection.
     const auto beyond = [&](const Camera::Ray& ray) -> Vec3d {
@@ -483,8 +506,29 @@ Image8 photograph(const Object& object, const Camera& camera, const Image8& cove
                 }
                 if (point) light = (1 - alpha) * light + alpha * shade(*point, -ray.direction);
             }
-            for (int c = 0; c < 3; ++c) out.at(x, y, c) = to_srgb(light[c]);
+            for (int c = 0; c < 3; ++c) out.at(x, y, c) = srgb8_from_linear(exposure * light[c]);
         }
+    return out;
+}
+
+std::vector<TrueColor> colors_at(const SyntheticSpec& spec, const Object& object, const std::vector<Vec3d>& points) {
+    object.prepare_nearest();
+    const std::vector<Direction> where = directions(spec.rig);
+    const bool moving_light = spec.rig.motion == Rig::Motion::Turntable;
+    std::vector<TrueColor> out(points.size());
+    tbb::parallel_for(size_t{0}, points.size(), [&](size_t n) {
+        const SurfacePoint p = object.nearest(points[n], out[n].distance);
+        double light = 0, weight = 0;
+        for (const Direction& d : where) {
+            const Vec3d eye(std::cos(d.elevation_rad) * std::cos(d.azimuth_rad), std::cos(d.elevation_rad) * std::sin(d.azimuth_rad), std::sin(d.elevation_rad));
+            const double w = moving_light ? std::pow(std::max(0.0, p.normal.dot(eye)), 4) : 1.0;
+            light += w * room_of(spec.rig, d.azimuth_rad, Mat3d::Identity()).diffuse(p.normal, spec.look);
+            weight += w;
+            if (!moving_light) break;
+        }
+        const Vec3d c = (weight > 0 ? light / weight : 1.0) * object.albedo_at(p);
+        out[n].color = {static_cast<float>(c[0]), static_cast<float>(c[1]), static_cast<float>(c[2])};
+    });
     return out;
 }
 
@@ -570,108 +614,13 @@ SyntheticSpec builtin_spec(const std::string& name) {
         add(Solid::Kind::Box, {0.12, 0.35, 0.3}, {0.1, 0, 0.25}, {20, 35, 0});
     } else if (name == "torus") {
         add(Solid::Kind::Torus, {0.45, 0.14, 0}, {0, 0, 0}, {60, 10, 0});
+    } else if (name == "pair") {
+        add(Solid::Kind::Ellipsoid, {0.2, 0.2, 0.32}, {0.5, 0, 0}, {0, 0, 0});
+        spec.solids.back().color = Vec3d(0.6, 0.06, 0.05);
+        add(Solid::Kind::Box, {0.1, 0.45, 0.4}, {-0.25, 0, 0}, {0, 0, 10});
+        spec.solids.back().color = Vec3d(0.05, 0.25, 0.55);
     } else {
-        throw UsageError("synth: no built-in object '" + name + "' (cup, ellipsoids, boxes, torus), and no such spec (.json) or mesh (.ply, .obj, .stl)");
-    }
-    return spec;
-}
-
-SyntheticSpec read_spec(const fs::path& file) {
-    using nlohmann::json;
-    SyntheticSpec spec;
-    try {
-        std::ifstream in(file);
-        if (!in) throw InputError(file.string() + ": cannot be opened");
-        const json j = json::parse(in);
-        const auto known = [&](const json& node, std::initializer_list<const char*> keys, const std::string& where) {
-            for (auto it = node.begin(); it != node.end(); ++it)
-                if (std::none_of(keys.begin(), keys.end(), [&](const char* k) { return it.key() == k; }))
-                    throw InputError(file.string() + ": " + where + "unknown field '" + it.key() + "'");
-        };
-        known(j, {"name", "builtin", "solids", "mesh", "rig", "look", "damage", "seed"}, "");
-        if (j.contains("builtin")) spec = builtin_spec(j["builtin"]);
-        spec.name = j.value("name", file.stem().string());
-        spec.seed = j.value("seed", uint64_t{1});
-        if (j.contains("mesh")) spec.mesh = read_mesh(file.parent_path() / j["mesh"].get<std::string>());
-        static const std::pair<const char*, Solid::Kind> kinds[] = {
-            {"ellipsoid", Solid::Kind::Ellipsoid}, {"box", Solid::Kind::Box}, {"torus", Solid::Kind::Torus}, {"cup", Solid::Kind::Cup}};
-        const auto vec = [](const json& a) { return Vec3d(a.at(0), a.at(1), a.at(2)); };
-        for (const json& s : j.value("solids", json::array())) {
-            known(s, {"type", "size", "centre", "turn_deg"}, "solids: ");
-            Solid solid;
-            const std::string type = s.at("type");
-            const auto kind = std::find_if(std::begin(kinds), std::end(kinds), [&](const auto& k) { return type == k.first; });
-            if (kind == std::end(kinds)) throw InputError(file.string() + ": solids: type '" + type + "' is none of ellipsoid, box, torus, cup");
-            solid.kind = kind->second;
-            solid.size = vec(s.at("size"));
-            if (s.contains("centre")) solid.world_from_solid.translation = vec(s["centre"]);
-            if (s.contains("turn_deg")) solid.world_from_solid.rotation = turned(vec(s["turn_deg"]));
-            spec.solids.push_back(solid);
-        }
-        if (j.contains("rig")) {
-            const json& r = j["rig"];
-            known(r, {"type", "motion", "start_deg", "arc_deg", "speed_variation", "sittings", "lens", "breathing", "views", "elevation_deg", "rings", "fov_deg", "distance", "fill", "orthographic", "width", "height", "pixel_aspect",
-                      "shake_angle_deg", "shake_elevation_deg", "shake_roll_deg", "shake_position", "shake_look_at"}, "rig: ");
-            Rig& rig = spec.rig;
-            const std::string type = r.value("type", "orbit");
-            if (type == "orbit") rig.kind = Rig::Kind::Orbit;
-            else if (type == "rings") rig.kind = Rig::Kind::Rings;
-            else if (type == "dome") rig.kind = Rig::Kind::Dome;
-            else throw InputError(file.string() + ": rig: type '" + type + "' is none of orbit, rings, dome");
-            const std::string motion = r.value("motion", "camera");
-            if (motion != "camera" && motion != "turntable") throw InputError(file.string() + ": rig: motion '" + motion + "' is none of camera, turntable");
-            rig.motion = motion == "turntable" ? Rig::Motion::Turntable : Rig::Motion::Camera;
-            rig.start_deg = r.value("start_deg", rig.start_deg);
-            rig.arc_deg = r.value("arc_deg", rig.arc_deg);
-            rig.speed_variation = r.value("speed_variation", rig.speed_variation);
-            rig.sittings = r.value("sittings", rig.sittings);
-            rig.breathing = r.value("breathing", rig.breathing);
-            if (r.contains("lens")) {
-                rig.lens.model = Lens::Model::OpenCV;
-                rig.lens.coefficients = r["lens"].get<std::vector<double>>();
-            }
-            rig.views = r.value("views", rig.views);
-            rig.elevation_deg = r.value("elevation_deg", rig.elevation_deg);
-            for (const json& ring : r.value("rings", json::array())) rig.rings.push_back({ring.at("views"), ring.at("elevation_deg")});
-            rig.fov_deg = r.value("fov_deg", rig.fov_deg);
-            rig.distance = r.value("distance", rig.distance);
-            rig.fill = r.value("fill", rig.fill);
-            rig.orthographic = r.value("orthographic", rig.orthographic);
-            rig.width_px = r.value("width", rig.width_px);
-            rig.height_px = r.value("height", rig.height_px);
-            rig.pixel_aspect = r.value("pixel_aspect", rig.pixel_aspect);
-            rig.shake_angle_deg = r.value("shake_angle_deg", 0.0);
-            rig.shake_elevation_deg = r.value("shake_elevation_deg", 0.0);
-            rig.shake_roll_deg = r.value("shake_roll_deg", 0.0);
-            rig.shake_position = r.value("shake_position", 0.0);
-            rig.shake_look_at = r.value("shake_look_at", 0.0);
-        }
-        if (j.contains("look")) {
-            const json& l = j["look"];
-            known(l, {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif"}, "look: ");
-            PhotoLook& look = spec.look;
-            look.gloss = l.value("gloss", look.gloss);
-            look.table = l.value("table", look.table);
-            look.table_reflection = l.value("table_reflection", look.table_reflection);
-            look.blur_px = l.value("blur_px", look.blur_px);
-            look.noise = l.value("noise", look.noise);
-            look.jpeg_quality = l.value("jpeg_quality", look.jpeg_quality);
-            look.exif = l.value("exif", look.exif);
-        }
-        if (j.contains("damage")) {
-            const json& d = j["damage"];
-            known(d, {"noise_px", "correlation_px", "dilate_px", "holes", "blobs", "radius_px", "share"}, "damage: ");
-            MaskDamage& m = spec.damage;
-            m.noise_px = d.value("noise_px", m.noise_px);
-            m.correlation_px = d.value("correlation_px", m.correlation_px);
-            m.dilate_px = d.value("dilate_px", m.dilate_px);
-            m.holes = d.value("holes", m.holes);
-            m.blobs = d.value("blobs", m.blobs);
-            m.radius_px = d.value("radius_px", m.radius_px);
-            m.share = d.value("share", m.share);
-        }
-    } catch (const json::exception& e) {
-        throw InputError(file.string() + ": " + e.what());
+        throw UsageError("synth: no built-in object '" + name + "' (cup, ellipsoids, boxes, torus, pair), and no such spec (.json) or mesh (.ply, .obj, .stl)");
     }
     return spec;
 }
@@ -692,6 +641,8 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     const MaskDamage& d = spec.damage;
     need(d.noise_px >= 0 && d.noise_px <= 50 && std::abs(d.dilate_px) <= 50 && d.correlation_px >= 0, "masks' noise and dilation are 0..50 px, its correlation is >= 0");
     need(d.holes >= 0 && d.blobs >= 0 && d.radius_px >= 1 && d.radius_px <= 500 && d.share >= 0 && d.share <= 1, "masks' holes and blobs are >= 0, of radius 1..500 px, in a share 0..1 of the views");
+    need(spec.look.exposure_jitter >= 0 && spec.look.exposure_jitter < 1, "the exposure's jitter is 0..1");
+    need(spec.texture.empty() || !spec.mesh.texcoords.empty(), "a texture needs a mesh with texture coordinates (.obj)");
     need(spec.look.blur_px >= 0 && spec.look.blur_px <= 50 && spec.look.noise >= 0 && spec.look.gloss >= 0, "blur is 0..50 px, noise and gloss are >= 0");
     need(rig.lens.coefficients.empty() || rig.lens.coefficients.size() == 4, "a lens has four coefficients: k1, k2, p1, p2");
     need(!(rig.lens.distorts() && rig.orthographic), "a parallel projection has no lens");
@@ -753,6 +704,8 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         scene.nominal.sittings.push_back({"1", Rigid3(), 1.0});  // how it was tipped is not known to the photographer
     }
     const std::vector<Camera> cameras = scene.views.cameras();
+    Dice light(spec.seed + 1000003);
+    for (size_t i = 0; i < where.size(); ++i) scene.exposures.push_back(1 + spec.look.exposure_jitter * light());
     scene.masks.resize(where.size());
     if (spec.damage.any()) scene.true_masks.resize(where.size());
     if (spec.photos) scene.photos.resize(where.size());
@@ -771,11 +724,7 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         Image8 photo;
         if (spec.photos) {
             const Mat3d side_from_scene = in_second(i) ? Mat3d(scene_from_side.rotation.transpose()) : Mat3d(Mat3d::Identity());
-            Room place;
-            place.up_scene = side_from_scene.transpose() * Vec3d::UnitZ();
-            place.room_from_scene = side_from_scene;
-            if (rig.motion == Rig::Motion::Turntable) place.room_from_scene = Mat3d(Eigen::AngleAxisd(-azimuths[i], Vec3d::UnitZ())) * side_from_scene;
-            photo = photograph(object, camera, mask, surface, spec.look, place);
+            photo = photograph(object, camera, mask, surface, spec.look, room_of(rig, azimuths[i], side_from_scene), scene.exposures[i]);
         }
         if (margin > 0) {
             const Intrinsics& own = cameras[i].intrinsics;
@@ -796,7 +745,14 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         scene.masks[i].coverage = std::move(mask);
         progress.step();
     });
+    if (spec.photos) {
+        std::vector<Vec3d> points;
+        for (const auto& v : scene.truth.vertices) points.emplace_back(v[0], v[1], v[2]);
+        for (const TrueColor& c : colors_at(spec, object, points)) scene.truth.colors.push_back(c.color);
+    }
     return scene;
 }
+
+std::vector<TrueColor> surface_colors(const SyntheticSpec& spec, const std::vector<Vec3d>& points) { return colors_at(spec, Object(spec), points); }
 
 }  // namespace vdbcarve

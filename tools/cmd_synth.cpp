@@ -20,7 +20,9 @@ struct Raw {
     std::string motion, lens;
     std::optional<double> elevation, start, arc, speed, breathing, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius, mask_share;
     std::optional<int> sittings, jpeg, holes, blobs;
-    bool table = false, exif = false;
+    bool table = false, exif = false, flat = false;
+    std::optional<double> exposure_jitter;
+    std::string texture;
 };
 
 SyntheticSpec spec_of(const Raw& raw) {
@@ -71,7 +73,10 @@ SyntheticSpec spec_of(const Raw& raw) {
         rig.lens.coefficients = numbers("--lens", raw.lens, 4);
     }
     PhotoLook& look = spec.look;
+    if (!raw.texture.empty()) spec.texture = read_texture(raw.texture);
     set(look.gloss, raw.gloss);
+    set(look.exposure_jitter, raw.exposure_jitter);
+    look.flat = look.flat || raw.flat;
     set(look.blur_px, raw.blur);
     set(look.noise, raw.noise);
     set(look.jpeg_quality, raw.jpeg);
@@ -96,7 +101,7 @@ Command add_synth(CLI::App& program) {
     auto raw = std::make_shared<Raw>();
     CLI::App* app = program.add_subcommand("synth", "make a synthetic shoot: photos, exact soft masks, cameras, truth");
     app->fallthrough();
-    app->add_option("object", raw->object, "cup, ellipsoids, boxes, torus, a spec (.json) or a closed mesh (.ply, .obj, .stl)")->required();
+    app->add_option("object", raw->object, "cup, ellipsoids, boxes, torus, pair, a spec (.json) or a closed mesh (.ply, .obj, .stl)")->required();
     app->add_option("-o,--output", raw->output, "folder for the scene")->required();
     app->add_option("--rig", raw->rig, "orbit, rings (level and 35 degrees) or dome")->check(CLI::IsMember({"orbit", "rings", "dome"}));
     app->add_option("--views", raw->views, "number of views (36)")->check(CLI::Range(1, 10000));
@@ -118,6 +123,9 @@ Command add_synth(CLI::App& program) {
     app->add_option("--noise", raw->noise, "sensor noise, standard deviation in 8-bit steps")->check(CLI::Range(0.0, 100.0))->group("Camera");
     app->add_option("--jpeg", raw->jpeg, "photos as .jpg of this quality")->check(CLI::Range(1, 100))->group("Camera");
     app->add_flag("--exif", raw->exif, ".jpg with the focal length in EXIF")->group("Camera");
+    app->add_option("--texture", raw->texture, "picture for a mesh with texture coordinates (.obj)")->group("Light");
+    app->add_option("--exposure-jitter", raw->exposure_jitter, "photographs' exposures are off by up to this share")->check(CLI::Range(0.0, 0.9))->group("Light");
+    app->add_flag("--flat", raw->flat, "no lamps: the object's own colours")->group("Light");
     app->add_option("--gloss", raw->gloss, "strength of highlights, 0..1")->check(CLI::Range(0.0, 1.0))->group("Light");
     app->add_flag("--table", raw->table, "a table under the object, with its shadow and reflection")->group("Light");
     app->add_option("--mask-noise", raw->mask_noise, "masks' contours off by this many px (standard deviation)")->check(CLI::Range(0.0, 50.0))->group("Bad masks");

@@ -16,6 +16,7 @@
 
 #include "vdbcarve/backend.h"
 #include "vdbcarve/carve.h"
+#include "vdbcarve/color.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/triangle_mesh.h"
@@ -60,6 +61,9 @@ class DevicePipeline {
     void level_set(const LevelSetOptions& options);
     openvdb::FloatGrid::Ptr surface() const;
     void set_surface(const openvdb::FloatGrid& surface);
+
+    /// Colours the surface, which must be `surface`. Masks and fields on the device are replaced by colouring's own. Errors like color().
+    ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress);
 
     /// Marching cubes of the surface, on the device. False where only extract_mesh() of the grid on the CPU can: no level set with
     /// a whole band is such (cuda/mesh_cuda.h).

@@ -89,6 +89,9 @@ std::optional<Vec3d> look_at_point(const std::vector<Camera>& cameras);
 /// Rotation from a quaternion that need not be of unit length. Throws InputError where it is zero.
 Mat3d rotation_from_quaternion(double w, double x, double y, double z);
 
+/// Turns about x, then y, then z.
+Mat3d turned(const Vec3d& degrees);
+
 /// True when the matrix is a rotation within the tolerance (orthonormal, determinant +1).
 bool is_rotation(const Mat3d& m, double tolerance = 1e-3);
 /// The rotation nearest to a matrix (polar decomposition).

@@ -45,7 +45,26 @@ struct Image {
 };
 
 using Image8 = Image<uint8_t>;
+using Image16 = Image<uint16_t>;
 using ImageF = Image<float>;
+
+/// A photograph with the 8 or 16 bits a channel that its file has: sRGB; grey, RGB or RGBA. One of the two is empty.
+struct Photo {
+    Image8 pixels8;
+    Image16 pixels16;
+    bool empty() const { return pixels8.empty() && pixels16.empty(); }
+};
+
+struct PhotoView {
+    ImageView<uint8_t> pixels8;
+    ImageView<uint16_t> pixels16;
+    bool empty() const { return pixels8.empty() && pixels16.empty(); }
+    int width() const { return pixels8.empty() ? pixels16.width : pixels8.width; }
+    int height() const { return pixels8.empty() ? pixels16.height : pixels8.height; }
+    int channels() const { return pixels8.empty() ? pixels16.channels : pixels8.channels; }
+};
+
+inline PhotoView view_of(const Photo& photo) { return {photo.pixels8.view(), photo.pixels16.view()}; }
 
 /// A silhouette in three states. `coverage` is the share of each pixel that the object covers, 0..255; the
 /// contour is where it crosses 1/2. `ignore` is empty or non-zero where the view says nothing.

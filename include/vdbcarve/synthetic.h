@@ -25,6 +25,8 @@ struct Solid {
     Kind kind = Kind::Ellipsoid;
     Vec3d size = Vec3d::Ones();
     Rigid3 world_from_solid;
+    /// Linear RGB, with a pattern of light and shade over it; none: clay and glaze.
+    std::optional<Vec3d> color;
 
     /// Negative inside, zero on the surface; its magnitude never exceeds the distance to the surface.
     double value(const Vec3d& point_world) const;
@@ -75,6 +77,8 @@ struct PhotoLook {
     double noise = 0;          ///< of the sensor, standard deviation in 8-bit steps
     int jpeg_quality = 0;      ///< 1..100: .jpg files; 0: .png
     bool exif = false;         ///< .jpg files say the focal length
+    double exposure_jitter = 0;  ///< every photograph's exposure is off by a factor within 1 plus and minus this
+    bool flat = false;         ///< no lamps: the object's colour is the photographs' wherever it is seen from
 };
 
 /// What goes wrong with masks. Exact ones are kept beside them (SyntheticScene::true_masks).
@@ -92,6 +96,7 @@ struct SyntheticSpec {
     std::string name = "object";
     std::vector<Solid> solids;       ///< their union; empty when `mesh` is given
     Mesh mesh;                       ///< a closed mesh instead
+    Image8 texture;                  ///< of the mesh, sRGB; needs its texcoords
     Rig rig;
     PhotoLook look;
     MaskDamage damage;
@@ -105,15 +110,27 @@ struct SyntheticScene {
     std::vector<Mask> masks;
     std::vector<Mask> true_masks;    ///< before MaskDamage; empty without
     std::vector<Image8> photos;      ///< sRGB; empty without SyntheticSpec::photos
+    std::vector<double> exposures;   ///< factors on linear light, of PhotoLook::exposure_jitter
     PhotoLook look;                  ///< for the files' format
-    Mesh truth;
+    Mesh truth;                      ///< with the colours of surface_colors()
 };
 
-/// The built-in objects: "ellipsoids", "boxes", "torus", "cup". Throws UsageError for another name.
+/// The built-in objects: "ellipsoids", "boxes", "torus", "cup", "pair" (two solids apart, one before the other). Throws UsageError for another name.
 SyntheticSpec builtin_spec(const std::string& name);
+
+/// A picture for SyntheticSpec::texture. Throws InputError.
+Image8 read_texture(const std::filesystem::path& file);
 
 /// Reads a JSON spec (data/ has examples). Throws InputError naming file and field.
 SyntheticSpec read_spec(const std::filesystem::path& file);
+
+/// What the photographs show, without highlights and exposure, where the object is nearest to the points: linear RGB, and the distance.
+/// Under a turntable's lamp, which does not turn along, the mean over the cameras that look at it most squarely.
+struct TrueColor {
+    std::array<float, 3> color;
+    double distance;
+};
+std::vector<TrueColor> surface_colors(const SyntheticSpec& spec, const std::vector<Vec3d>& points_world);
 
 /// Same spec and seed, same bytes.
 SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress);

@@ -15,6 +15,9 @@ struct Mesh {
     std::vector<std::array<float, 3>> vertices;       ///< world units
     std::vector<std::array<uint32_t, 3>> triangles;   ///< counter-clockwise seen from outside
     std::vector<std::array<float, 3>> normals{};      ///< unit, outward, one a vertex; or none
+    std::vector<std::array<float, 3>> colors{};       ///< RGB, linear light 0..1, one a vertex; or none
+    /// Texture coordinates of each triangle's corners, v upwards; or none. Read from .obj, never written.
+    std::vector<std::array<std::array<float, 2>, 3>> texcoords{};
 };
 
 struct MeshMeasures {
@@ -33,11 +36,11 @@ struct MeshMeasures {
 /// Time O(faces log faces).
 MeshMeasures measure(const Mesh& mesh);
 
-/// Reads .ply, .obj, .stl and .off; polygons are cut into fans. Throws InputError.
+/// Reads .ply, .obj, .stl and .off; polygons are cut into fans. Vertex colours of 8 bits are taken to be sRGB. Throws InputError.
 Mesh read_mesh(const std::filesystem::path& file);
 
-/// Writes .ply (binary little-endian, vertices x y z [nx ny nz], triangles), .obj or .stl (binary) by extension;
-/// appears by rename. OBJ is turned from `up` ("x", "y", "z", "-x" …; empty: as it is) to y up, the others keep
+/// Writes .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue], triangles), .obj (v x y z [r g b]) or .stl (binary) by
+/// extension; colours as sRGB. Appears by rename. OBJ is turned from `up` ("x", "y", "z", "-x" …; empty: as it is) to y up, the others keep
 /// the scene's axes. Throws OutputError, and UsageError for another extension.
 void write_mesh(const std::filesystem::path& file, const Mesh& mesh, const std::string& up = {});
 

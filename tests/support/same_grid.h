@@ -9,7 +9,10 @@
 
 namespace vdbcarve::test {
 
-inline void expect_same(const openvdb::FloatGrid& a, const openvdb::FloatGrid& b) {
+template <class Grid>
+void expect_same(const Grid& a, const Grid& b) {
+    using Value = typename Grid::ValueType;
+    using Tiles = typename Grid::TreeType::ValueAllCIter;
     EXPECT_EQ(a.getName(), b.getName());
     EXPECT_EQ(a.getGridClass(), b.getGridClass());
     EXPECT_EQ(a.background(), b.background());
@@ -22,17 +25,17 @@ inline void expect_same(const openvdb::FloatGrid& a, const openvdb::FloatGrid& b
         ASSERT_TRUE(other);
         ASSERT_EQ(leaf->origin(), other->origin());
         ASSERT_TRUE(leaf->valueMask() == other->valueMask()) << leaf->origin();
-        const float *x = leaf->buffer().data(), *y = other->buffer().data();
-        for (openvdb::Index n = 0; n < leaf->size(); ++n) differing += std::memcmp(x + n, y + n, sizeof(float)) != 0;
+        const Value *x = leaf->buffer().data(), *y = other->buffer().data();
+        for (openvdb::Index n = 0; n < leaf->size(); ++n) differing += std::memcmp(x + n, y + n, sizeof(Value)) != 0;
         ++leaves;
     }
     EXPECT_FALSE(other);
     EXPECT_EQ(differing, 0u) << "values of " << leaves << " leaves";
     size_t tiles = 0;
     auto there = b.tree().cbeginValueAll();
-    there.setMaxDepth(openvdb::FloatTree::ValueAllCIter::LEAF_DEPTH - 1);
+    there.setMaxDepth(Tiles::LEAF_DEPTH - 1);
     auto here = a.tree().cbeginValueAll();
-    here.setMaxDepth(openvdb::FloatTree::ValueAllCIter::LEAF_DEPTH - 1);
+    here.setMaxDepth(Tiles::LEAF_DEPTH - 1);
     for (; here && there; ++here, ++there) tiles += here.getCoord() != there.getCoord() || *here != *there || here.isValueOn() != there.isValueOn();
     EXPECT_EQ(static_cast<bool>(here), static_cast<bool>(there));
     EXPECT_EQ(tiles, 0u);

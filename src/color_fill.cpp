@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
+
+#include <numeric>
+
+#include "color_plan.h"
+#include "vdbcarve/kernel/color_fill.h"
+
+namespace vdbcarve {
+namespace {
+
+using kernel::Rgb;
+
+/// Cells of one size, sorted.
+struct Level {
+    std::vector<uint64_t> keys;
+    std::vector<Rgb> colors;
+    std::vector<uint8_t> known;
+    std::vector<int32_t> first;   ///< first child on the finer level, and one past the last
+    std::vector<int32_t> parent;  ///< on the coarser level
+    size_t unknown = 0;
+};
+
+template <class Work>
+void for_all(size_t count, const Work& work) {
+    tbb::parallel_for(tbb::blocked_range<size_t>(0, count, 1024), [&](const tbb::blocked_range<size_t>& range) {
+        for (size_t n = range.begin(); n < range.end(); ++n) work(n);
+    });
+}
+
+Level coarser(Level& fine) {
+    Level out;
+    fine.parent.resize(fine.keys.size());
+    for (size_t n = 0; n < fine.keys.size(); ++n) {
+        const uint64_t key = fine.keys[n] >> 3;
+        if (out.keys.empty() || out.keys.back() != key) {
+            out.keys.push_back(key);
+            out.first.push_back(static_cast<int32_t>(n));
+        }
+        fine.parent[n] = static_cast<int32_t>(out.keys.size()) - 1;
+    }
+    out.first.push_back(static_cast<int32_t>(fine.keys.size()));
+    out.colors.resize(out.keys.size());
+    out.known.resize(out.keys.size());
+    for_all(out.keys.size(), [&](size_t n) { out.known[n] = kernel::parent_color(fine.colors.data(), fine.known.data(), out.first[n], out.first[n + 1], out.colors[n]); });
+    out.unknown = static_cast<size_t>(std::count(out.known.begin(), out.known.end(), uint8_t{0}));
+    return out;
+}
+
+void relax(Level& level, const Level& coarse) {
+    std::vector<int32_t> cells;
+    for (size_t n = 0; n < level.keys.size(); ++n)
+        if (!level.known[n]) cells.push_back(static_cast<int32_t>(n));
+    const auto count = static_cast<int32_t>(level.keys.size());
+    std::vector<int32_t> neighbours(cells.size() * kernel::kFillNeighbours);
+    std::vector<Rgb> next(cells.size());
+    for_all(cells.size(), [&](size_t c) {
+        const auto n = static_cast<size_t>(cells[c]);
+        level.colors[n] = coarse.colors[static_cast<size_t>(level.parent[n])];
+        for (int d = 0; d < kernel::kFillNeighbours; ++d) neighbours[c * kernel::kFillNeighbours + static_cast<size_t>(d)] = kernel::fill_neighbour(level.keys.data(), count, level.keys[n], d);
+    });
+    for (int sweep = 0; sweep < kernel::kFillSweeps; ++sweep) {
+        for_all(cells.size(), [&](size_t c) {
+            next[c] = kernel::relaxed(level.colors[static_cast<size_t>(cells[c])], level.colors.data(), neighbours.data() + c * kernel::kFillNeighbours, 1);
+        });
+        for_all(cells.size(), [&](size_t c) { level.colors[static_cast<size_t>(cells[c])] = next[c]; });
+    }
+}
+
+}  // namespace
+
+void fill_colors(const std::vector<uint64_t>& keys, const std::vector<uint8_t>& known, std::vector<Rgb>& colors) {
+    std::vector<uint32_t> order(keys.size());
+    std::iota(order.begin(), order.end(), 0u);
+    tbb::parallel_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return keys[a] < keys[b]; });
+    std::vector<Level> levels(1);
+    levels[0].keys.resize(keys.size());
+    levels[0].colors.resize(keys.size());
+    levels[0].known.resize(keys.size());
+    for_all(keys.size(), [&](size_t n) {
+        levels[0].keys[n] = keys[order[n]];
+        levels[0].colors[n] = colors[order[n]];
+        levels[0].known[n] = known[order[n]];
+    });
+    levels[0].unknown = static_cast<size_t>(std::count(known.begin(), known.end(), uint8_t{0}));
+    if (levels[0].unknown == 0 || levels[0].unknown == keys.size()) return;
+    while (levels.back().unknown) {
+        Level next = coarser(levels.back());
+        levels.push_back(std::move(next));
+    }
+    for (size_t l = levels.size() - 1; l-- > 0;) relax(levels[l], levels[l + 1]);
+    for_all(keys.size(), [&](size_t n) { colors[order[n]] = levels[0].colors[n]; });
+}
+
+}  // namespace vdbcarve

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// What both backends' colouring starts from and ends with.
+#pragma once
+
+#include <nanovdb/NanoVDB.h>
+
+#include "vdbcarve/color.h"
+#include "vdbcarve/distance.h"
+#include "vdbcarve/kernel/color.h"
+
+namespace vdbcarve {
+
+/// Throws for what color() does not take. Photographs are looked at when they come.
+void check_color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const ColorOptions& options);
+
+/// Linear light of every 8-bit (16-bit) sRGB value.
+const std::vector<float>& linear_table(bool wide);
+
+/// windowed_normal's weights; empty for a radius of 0. The Gaussian's sigma is half the radius, so that it has faded at the window's side.
+std::vector<float> normal_weights(int radius_vox);
+
+/// Masks without what is to be ignored, for the distance to what may be sampled.
+class SampledMasks {
+  public:
+    SampledMasks(const std::vector<ColorInput>& inputs, size_t first, size_t last);
+    const std::vector<MaskView>& views() const { return views_; }  ///< an empty one for views that are not used
+
+  private:
+    std::vector<Image8> owned_;
+    std::vector<MaskView> views_;
+};
+
+/// Fields of those masks.
+DistanceOptions margin_fields();
+
+/// A view on the surface's lattice, without pixels and field. Its weight is 0 everywhere where the view cannot be used.
+kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const std::array<double, 3>& gain);
+/// Throws InputError where the photograph does not fit its camera.
+void check_photo(const ColorInput& input, const PhotoView& photo);
+
+kernel::ColorRule color_rule(const ColorOptions& options, double voxel_size, const openvdb::CoordBBox& blocks);
+/// The blocks of 128^3 voxels that hold the surface's leaves.
+openvdb::CoordBBox block_box(const openvdb::FloatGrid& surface);
+
+/// About kExposurePlaces voxels of the contour, spread evenly.
+inline constexpr size_t kExposurePlaces = 8192;
+std::vector<uint32_t> exposure_places(const std::vector<uint32_t>& contour);
+
+/// Passes that carry colour over a band.
+int spread_passes(const openvdb::FloatGrid& surface);
+
+/// Fills what is unknown (known[n] == 0) from what is known; `keys` are morton_of_voxel of the contour's voxels, any order.
+/// Nothing to do where nothing or everything is known.
+void fill_colors(const std::vector<uint64_t>& keys, const std::vector<uint8_t>& known, std::vector<kernel::Rgb>& colors);
+
+/// Colour for the layers deeper than the band: each from the one before.
+void carry_inwards(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface, int depth_vox);
+
+/// The grids and statistics, from the contour's voxels (leaf * 512 + offset) and the spread colours, whose grid is `color`.
+void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const std::vector<uint32_t>& contour, const std::vector<uint8_t>& views_blended, const std::vector<float>& confidence,
+                  const ColorOptions& options);
+
+/// An empty colour grid with the surface's leaves: values 0, nothing active.
+openvdb::Vec3SGrid::Ptr empty_color(const openvdb::FloatGrid& surface);
+
+[[noreturn]] void explain_unseen(const std::vector<ColorInput>& inputs);
+
+}  // namespace vdbcarve
