@@ -67,18 +67,25 @@ __global__ void make_points(const Nano* grid, const Grid::Leaf* leaves, const ui
     points[n] = surface_point(value, leaf.data()->mValues[t], voxel, value.origin[0] + (t >> 6), value.origin[1] + (t >> 3 & 7), value.origin[2] + (t & 7), rule);
 }
 
-__global__ void __launch_bounds__(128) observe_places(const Nano* grid, const SurfacePoint* points, const uint32_t* places, uint32_t count, const ColorView* views, uint32_t view_count, ColorRule rule, Observation* out) {
-    const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
-    if (n >= count * view_count) return;
-    const auto accessor = grid->getAccessor();
-    out[n] = observe(accessor, views[n % view_count], points[places[n / view_count]], rule);
+__global__ void __launch_bounds__(kLeafVoxels) build_walls(const Grid::Leaf* leaves, float threshold, uint32_t* walls) {
+    const uint32_t n = blockIdx.x;
+    const int t = threadIdx.x;
+    const unsigned word = __ballot_sync(kAll, leaves[n].data()->mValues[t] < threshold);
+    if (t % 32 == 0) walls[16 * n + t / 32] = word;
 }
 
-__global__ void __launch_bounds__(128) find(const Nano* grid, const SurfacePoint* points, uint32_t count, const ColorView* views, int first, int last, ColorRule rule, Candidate* candidates, uint8_t* counts) {
+__global__ void __launch_bounds__(128) observe_places(SightGrid sight, const SurfacePoint* points, const uint32_t* places, uint32_t count, const ColorView* views, uint32_t view_count, ColorRule rule, Observation* out) {
+    const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
+    if (n >= count * view_count) return;
+    SightCells cells(sight);
+    out[n] = observe(cells, views[n % view_count], points[places[n / view_count]], rule);
+}
+
+__global__ void __launch_bounds__(128) find(SightGrid sight, const SurfacePoint* points, uint32_t count, const ColorView* views, int first, int last, ColorRule rule, Candidate* candidates, uint8_t* counts) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
-    const auto accessor = grid->getAccessor();
-    counts[n] = static_cast<uint8_t>(kernel::find_views(accessor, views, first, last, rule, points[n], candidates + static_cast<size_t>(n) * kept_candidates(rule), counts[n]));
+    SightCells cells(sight);
+    counts[n] = static_cast<uint8_t>(kernel::find_views(cells, views, first, last, rule, points[n], candidates + static_cast<size_t>(n) * kept_candidates(rule), counts[n]));
 }
 
 __global__ void decide_points(const SurfacePoint* points, uint32_t count, const ColorView* views, ColorRule rule, const Candidate* candidates, const uint8_t* counts, Rgb* colors, uint8_t* blended, float* confidence,
@@ -158,13 +165,19 @@ __global__ void begin_level(const uint64_t* keys, uint32_t count, const uint32_t
     if (at >= cell_count * kFillNeighbours) return;
     const uint32_t c = at % cell_count, n = at / cell_count;
     const uint32_t cell = cells[c];
-    neighbours[at] = fill_neighbour(keys, static_cast<int32_t>(count), keys[cell], static_cast<int>(n));
+    neighbours[at] = fill_neighbour(keys, static_cast<int32_t>(count), static_cast<int32_t>(cell), static_cast<int>(n));
     if (n == 0) colors[cell] = parent_colors[parents[cell] - 1];
 }
 
 __global__ void sweep(const uint32_t* cells, uint32_t cell_count, const int32_t* neighbours, const Rgb* from, Rgb* to) {
     const uint32_t c = blockIdx.x * blockDim.x + threadIdx.x;
-    if (c < cell_count) to[cells[c]] = relaxed(from[cells[c]], from, neighbours + c, cell_count);
+    if (c >= cell_count) return;
+    Relaxation relaxation(from[cells[c]]);
+    for (int n = 0; n < kFillNeighbours; ++n) {
+        const int32_t at = neighbours[static_cast<size_t>(n) * cell_count + c];
+        if (at >= 0) relaxation.add(from[at], n);
+    }
+    to[cells[c]] = relaxation.value();
 }
 
 // ------------------------------------------------------------------------------------ spreading
@@ -223,6 +236,8 @@ struct ColorStage::Parts {
     DeviceBuffer<uint8_t> layers, waiting;
     DeviceBuffer<int32_t> neighbours;
     PinnedBuffer<uint32_t> host;
+    DeviceBuffer<uint64_t> walls;
+    SightGrid sight{};
     uint32_t contour_count = 0;
     int views_found = 0;
 
@@ -269,6 +284,11 @@ uint32_t ColorStage::find_contour(const Grid& surface, int normal_radius_vox, co
         if (p.contour_count == 0) return;
         list_contour<<<n, kLeafVoxels, 0, s>>>(p.words.data(), first, p.contour.ensure(p.contour_count));
         VDBCARVE_LAUNCHED();
+        const float threshold = kSightBlock_vox * static_cast<float>(surface.spec().voxel_size);
+        uint64_t* walls = p.walls.ensure(static_cast<size_t>(n) * kWallWords);
+        build_walls<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), threshold, reinterpret_cast<uint32_t*>(walls));
+        VDBCARVE_LAUNCHED();
+        p.sight = {surface.grid(), walls, threshold};
         make_points<<<blocks_for(p.contour_count, kThreads), kThreads, 0, s>>>(surface.grid(), surface.leaves(), p.contour.data(), p.contour_count, static_cast<float>(surface.spec().voxel_size),
                                                                                {normal_radius_vox, p.weights.data()}, p.points.ensure(p.contour_count));
         VDBCARVE_LAUNCHED();
@@ -286,7 +306,7 @@ const float* ColorStage::linear(bool wide, const std::vector<float>& table, cons
     return buffer.data();
 }
 
-void ColorStage::observe(const Grid& surface, const std::vector<ColorView>& views, const ColorRule& rule, const std::vector<uint32_t>& places, std::vector<Observation>& out, const Stream& stream,
+void ColorStage::observe(const std::vector<ColorView>& views, const ColorRule& rule, const std::vector<uint32_t>& places, std::vector<Observation>& out, const Stream& stream,
                          StageTimes& times) {
     Parts& p = *parts_;
     const size_t count = places.size() * views.size();
@@ -294,7 +314,7 @@ void ColorStage::observe(const Grid& surface, const std::vector<ColorView>& view
     stream.to_device(p.places.ensure(places.size()), places.data(), places.size());
     p.observations.ensure(count);
     times.measure("color: exposure", stream, [&] {
-        observe_places<<<blocks_for(count, 128), 128, 0, stream.get()>>>(surface.grid(), p.points.data(), p.places.data(), static_cast<uint32_t>(places.size()), p.views.data(), static_cast<uint32_t>(views.size()), rule,
+        observe_places<<<blocks_for(count, 128), 128, 0, stream.get()>>>(p.sight, p.points.data(), p.places.data(), static_cast<uint32_t>(places.size()), p.views.data(), static_cast<uint32_t>(views.size()), rule,
                                                                          p.observations.data());
         VDBCARVE_LAUNCHED();
     });
@@ -303,7 +323,7 @@ void ColorStage::observe(const Grid& surface, const std::vector<ColorView>& view
     stream.wait();
 }
 
-void ColorStage::find_views(const Grid& surface, const std::vector<ColorView>& views, int first, const ColorRule& rule, const Stream& stream, StageTimes& times) {
+void ColorStage::find_views(const std::vector<ColorView>& views, int first, const ColorRule& rule, const Stream& stream, StageTimes& times) {
     Parts& p = *parts_;
     stream.to_device(p.views.ensure(views.size()), views.data(), views.size());
     stream.wait();  // the caller's memory
@@ -311,7 +331,7 @@ void ColorStage::find_views(const Grid& surface, const std::vector<ColorView>& v
     p.counts.ensure(p.contour_count);
     times.measure("color: views", stream, [&] {
         if (p.views_found++ == 0) stream.zero(p.counts.data(), p.contour_count);
-        find<<<blocks_for(p.contour_count, 128), 128, 0, stream.get()>>>(surface.grid(), p.points.data(), p.contour_count, p.views.data(), first, first + static_cast<int>(views.size()), rule, p.candidates.data(),
+        find<<<blocks_for(p.contour_count, 128), 128, 0, stream.get()>>>(p.sight, p.points.data(), p.contour_count, p.views.data(), first, first + static_cast<int>(views.size()), rule, p.candidates.data(),
                                                                          p.counts.data());
         VDBCARVE_LAUNCHED();
     });
@@ -443,7 +463,7 @@ const Rgb* ColorStage::leaf_colors() const { return parts_->leaf_colors.data(); 
 const uint8_t* ColorStage::layers() const { return parts_->layers.data(); }
 size_t ColorStage::bytes() const {
     const Parts& p = *parts_;
-    size_t sum = p.words.bytes() + p.leaf_counts.bytes() + p.leaf_first.bytes() + p.contour.bytes() + p.points.bytes() + p.observations.bytes() + p.candidates.bytes() + p.counts.bytes() + p.blended.bytes() +
+    size_t sum = p.words.bytes() + p.walls.bytes() + p.leaf_counts.bytes() + p.leaf_first.bytes() + p.contour.bytes() + p.points.bytes() + p.observations.bytes() + p.candidates.bytes() + p.counts.bytes() + p.blended.bytes() +
                  p.confidence.bytes() + p.colors.bytes() + p.leaf_colors.bytes() + p.layers.bytes() + p.neighbours.bytes() + p.scratch.bytes() + p.unsorted.bytes() + p.numbers.bytes() + p.order.bytes() + p.cells.bytes() +
                  p.flags.bytes() + p.cell_neighbours.bytes();
     for (const Parts::Level& level : p.levels) sum += level.bytes();

@@ -24,10 +24,10 @@ class ColorStage {
     const float* linear(bool wide, const std::vector<float>& table, const Stream& stream);
 
     /// What views first <= i < last (views[0] is `first`) show of places (numbers of contour voxels): out[place * (last - first) + i - first].
-    void observe(const Grid& surface, const std::vector<kernel::ColorView>& views, const kernel::ColorRule& rule, const std::vector<uint32_t>& places, std::vector<kernel::Observation>& out, const Stream& stream,
+    void observe(const std::vector<kernel::ColorView>& views, const kernel::ColorRule& rule, const std::vector<uint32_t>& places, std::vector<kernel::Observation>& out, const Stream& stream,
                  StageTimes& times);
     /// Adds views first <= i < first + views.size() to every point's candidates; the first call begins anew.
-    void find_views(const Grid& surface, const std::vector<kernel::ColorView>& views, int first, const kernel::ColorRule& rule, const Stream& stream, StageTimes& times);
+    void find_views(const std::vector<kernel::ColorView>& views, int first, const kernel::ColorRule& rule, const Stream& stream, StageTimes& times);
     /// Candidates become colours. `views` are all of them. Returns how many voxels have one; waits for that.
     uint32_t decide(const std::vector<kernel::ColorView>& views, const kernel::ColorRule& rule, const Stream& stream, StageTimes& times);
     void fill(const Grid& surface, const Stream& stream, StageTimes& times);

@@ -36,7 +36,15 @@ void for_points(size_t count, size_t grain, const Work& work) {
 /// The surface as NanoVDB has it, whose leaves stand in the order of the tree's.
 class Volume {
   public:
-    explicit Volume(const openvdb::FloatGrid& surface) : bytes_(to_nanovdb(surface, false)), grid_(reinterpret_cast<const Nano*>(bytes_.data.get())) {}
+    explicit Volume(const openvdb::FloatGrid& surface) : bytes_(to_nanovdb(surface, false)), grid_(reinterpret_cast<const Nano*>(bytes_.data.get())), threshold_(sight_threshold(surface)) {
+        walls_.resize(leaf_count() * kernel::kWallWords);
+        for_points(leaf_count(), 64, [&](const tbb::blocked_range<size_t>& range) {
+            for (size_t n = range.begin(); n < range.end(); ++n)
+                for (uint32_t at = 0; at < kLeafVoxels; ++at)
+                    walls_[n * kernel::kWallWords + at / 64] |= static_cast<uint64_t>(leaves()[n].getValue(at) < threshold_) << (at & 63);
+        });
+    }
+    kernel::SightGrid sight() const { return {grid_, walls_.data(), threshold_}; }
     NanoAccessor accessor() const { return grid_->getAccessor(); }
     const nanovdb::NanoLeaf<float>* leaves() const { return grid_->tree().getFirstNode<0>(); }
     size_t leaf_count() const { return grid_->tree().nodeCount(0); }
@@ -44,6 +52,8 @@ class Volume {
   private:
     NanoBuffer bytes_;
     const Nano* grid_;
+    float threshold_;
+    std::vector<uint64_t> walls_;
 };
 
 auto reader(const NanoAccessor& accessor) {
@@ -94,7 +104,7 @@ std::vector<SurfacePoint> points_of(const Volume& volume, const std::vector<uint
 class Colorist {
   public:
     Colorist(const openvdb::FloatGrid& surface, const Volume& volume, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress)
-        : volume_(volume), inputs_(inputs), source_(photos), options_(options), progress_(progress), rule_(color_rule(options, surface.voxelSize()[0], block_box(surface))),
+        : inputs_(inputs), source_(photos), options_(options), progress_(progress), rule_(color_rule(options, block_box(surface))), sight_(volume.sight()),
           batch_(options.batch ? std::min(options.batch, inputs.size()) : inputs.size()) {
         for (const ColorInput& input : inputs) views_.push_back(make_color_view(input, surface.transform(), {1, 1, 1}));
     }
@@ -105,9 +115,9 @@ class Colorist {
         out.table.resize(points.size() * out.views, {{0.f, 0.f, 0.f}, 0.f});
         for_batches([&](size_t first, size_t last) {
             for_points(points.size(), 64, [&](const tbb::blocked_range<size_t>& range) {
-                const NanoAccessor accessor = volume_.accessor();
+                kernel::SightCells cells(sight_);
                 for (size_t n = range.begin(); n < range.end(); ++n)
-                    for (size_t v = first; v < last; ++v) out.table[n * out.views + v] = kernel::observe(accessor, views_[v], points[n], rule_);
+                    for (size_t v = first; v < last; ++v) out.table[n * out.views + v] = kernel::observe(cells, views_[v], points[n], rule_);
             });
         });
         return out;
@@ -132,11 +142,11 @@ class Colorist {
         };
         for_batches([&](size_t first, size_t last) {
             for_points(points.size(), 256, [&](const tbb::blocked_range<size_t>& range) {
-                const NanoAccessor accessor = volume_.accessor();
+                kernel::SightCells cells(sight_);
                 Candidate here[kernel::kCandidates];
                 for (size_t n = range.begin(); n < range.end(); ++n) {
                     Candidate* candidates = at_once ? here : found.data() + n * keep;
-                    const int count = kernel::find_views(accessor, views_.data() + first, static_cast<int>(first), static_cast<int>(last), rule_, points[n], candidates, at_once ? 0 : counts[n]);
+                    const int count = kernel::find_views(cells, views_.data() + first, static_cast<int>(first), static_cast<int>(last), rule_, points[n], candidates, at_once ? 0 : counts[n]);
                     if (at_once) decide(n, candidates, count);
                     else counts[n] = static_cast<uint8_t>(count);
                 }
@@ -199,12 +209,12 @@ class Colorist {
         photo_ms_ += std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     }
 
-    const Volume& volume_;
     const std::vector<ColorInput>& inputs_;
     const PhotoSource& source_;
     const ColorOptions& options_;
     Progress& progress_;
     kernel::ColorRule rule_;
+    kernel::SightGrid sight_;
     size_t batch_;
     std::vector<ColorView> views_;
     std::vector<Photo> photos_;

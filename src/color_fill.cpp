@@ -53,18 +53,40 @@ void relax(Level& level, const Level& coarse) {
     for (size_t n = 0; n < level.keys.size(); ++n)
         if (!level.known[n]) cells.push_back(static_cast<int32_t>(n));
     const auto count = static_cast<int32_t>(level.keys.size());
-    std::vector<int32_t> neighbours(cells.size() * kernel::kFillNeighbours);
+    // Of 26 places about nine are taken: lists of those, in chunks that threads make by themselves.
+    struct Link {
+        int32_t cell;
+        int32_t place;
+    };
+    constexpr size_t kChunk = 4096;
+    const size_t chunks = (cells.size() + kChunk - 1) / kChunk;
+    std::vector<std::vector<Link>> links(chunks);
+    std::vector<std::vector<uint32_t>> ends(chunks);
     std::vector<Rgb> next(cells.size());
-    for_all(cells.size(), [&](size_t c) {
-        const auto n = static_cast<size_t>(cells[c]);
-        level.colors[n] = coarse.colors[static_cast<size_t>(level.parent[n])];
-        for (int d = 0; d < kernel::kFillNeighbours; ++d) neighbours[c * kernel::kFillNeighbours + static_cast<size_t>(d)] = kernel::fill_neighbour(level.keys.data(), count, level.keys[n], d);
+    const auto for_chunks = [&](const auto& work) {
+        tbb::parallel_for(size_t{0}, chunks, [&](size_t chunk) { work(chunk, chunk * kChunk, std::min(cells.size(), (chunk + 1) * kChunk)); });
+    };
+    for_chunks([&](size_t chunk, size_t first, size_t last) {
+        for (size_t c = first; c < last; ++c) {
+            const auto n = static_cast<size_t>(cells[c]);
+            level.colors[n] = coarse.colors[static_cast<size_t>(level.parent[n])];
+            for (int d = 0; d < kernel::kFillNeighbours; ++d)
+                if (const int32_t at = kernel::fill_neighbour(level.keys.data(), count, cells[c], d); at >= 0) links[chunk].push_back({at, d});
+            ends[chunk].push_back(static_cast<uint32_t>(links[chunk].size()));
+        }
     });
     for (int sweep = 0; sweep < kernel::kFillSweeps; ++sweep) {
-        for_all(cells.size(), [&](size_t c) {
-            next[c] = kernel::relaxed(level.colors[static_cast<size_t>(cells[c])], level.colors.data(), neighbours.data() + c * kernel::kFillNeighbours, 1);
+        for_chunks([&](size_t chunk, size_t first, size_t last) {
+            const Link* link = links[chunk].data();
+            for (size_t c = first; c < last; ++c) {
+                kernel::Relaxation relaxation(level.colors[static_cast<size_t>(cells[c])]);
+                for (const Link* end = links[chunk].data() + ends[chunk][c - first]; link < end; ++link) relaxation.add(level.colors[static_cast<size_t>(link->cell)], link->place);
+                next[c] = relaxation.value();
+            }
         });
-        for_all(cells.size(), [&](size_t c) { level.colors[static_cast<size_t>(cells[c])] = next[c]; });
+        for_chunks([&](size_t, size_t first, size_t last) {
+            for (size_t c = first; c < last; ++c) level.colors[static_cast<size_t>(cells[c])] = next[c];
+        });
     }
 }
 

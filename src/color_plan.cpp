@@ -19,8 +19,8 @@ void check_color(const openvdb::FloatGrid& surface, const std::vector<ColorInput
     if (surface.tree().leafCount() == 0) throw InputError("color: the volume has no surface");
     if (o.mode == ColorMode::None) throw UsageError("color: no mode");
     if (o.depth_vox < 1 || o.depth_vox > 1000) throw UsageError("color: the depth is " + std::to_string(o.depth_vox) + " layers, must be 1..1000");
-    if (o.normal_radius_vox < 0 || o.normal_radius_vox > kernel::kMaxNormalRadius_vox)
-        throw UsageError("color: the normals' window is " + std::to_string(o.normal_radius_vox) + " voxels, must be 0.." + std::to_string(kernel::kMaxNormalRadius_vox));
+    if (o.normal_radius_vox < 0 || o.normal_radius_vox > kMaxNormalRadius_vox)
+        throw UsageError("color: the normals' window is " + std::to_string(o.normal_radius_vox) + " voxels, must be 0.." + std::to_string(kMaxNormalRadius_vox));
     if (!o.gains.empty() && o.gains.size() != inputs.size()) throw UsageError("color: " + std::to_string(o.gains.size()) + " gains for " + std::to_string(inputs.size()) + " views");
     const bool any = std::any_of(inputs.begin(), inputs.end(), [](const ColorInput& i) { return i.use; });
     if (!any) throw UsageError("color: no view to take colour from");
@@ -109,13 +109,12 @@ kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::
     return v;
 }
 
-kernel::ColorRule color_rule(const ColorOptions& o, double voxel_size, const openvdb::CoordBBox& blocks) {
+kernel::ColorRule color_rule(const ColorOptions& o, const openvdb::CoordBBox& blocks) {
     kernel::ColorRule rule{};
     rule.best = o.mode == ColorMode::Best;
     rule.test_occlusion = o.test_occlusion;
     rule.skip_upright = o.skip_upright;
     rule.up = {static_cast<float>(o.up.x()), static_cast<float>(o.up.y()), static_cast<float>(o.up.z())};
-    rule.voxel_size = static_cast<float>(voxel_size);
     // Wide enough that no line of sight begins outside.
     for (int a = 0; a < 3; ++a) {
         rule.box.lo[a] = static_cast<float>(blocks.min()[a] - 16);

@@ -39,8 +39,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     p.use();
     check_color(surface, inputs, options);
     const Parts::Volume& volume = p.need(p.surface, "level set");
-    const double voxel = surface.voxelSize()[0];
-    const kernel::ColorRule rule = color_rule(options, voxel, block_box(surface));
+    const kernel::ColorRule rule = color_rule(options, block_box(surface));
     const size_t batch = options.batch ? std::min(options.batch, inputs.size()) : inputs.size();
     ColorResult out;
     out.backend_used = "cuda";
@@ -109,7 +108,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
         all.table.resize(places.size() * all.views);
         std::vector<Observation> part;
         for_batches([&](size_t first, const std::vector<kernel::ColorView>& some) {
-            p.color.observe(volume.grid, some, rule, places, part, p.stream, p.times);
+            p.color.observe(some, rule, places, part, p.stream, p.times);
             for (size_t n = 0; n < places.size(); ++n) std::copy_n(part.begin() + static_cast<long>(n * some.size()), some.size(), all.table.begin() + static_cast<long>(n * all.views + first));
         });
         out.exposure = estimate_exposure(all, options.exposure_options);
@@ -117,7 +116,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     for (size_t v = 0; v < views.size(); ++v)
         for (size_t c = 0; c < 3; ++c) views[v].gain[c] = static_cast<float>(out.exposure.gains[v][c]);
     progress.step();
-    for_batches([&](size_t first, const std::vector<kernel::ColorView>& some) { p.color.find_views(volume.grid, some, static_cast<int>(first), rule, p.stream, p.times); });
+    for_batches([&](size_t first, const std::vector<kernel::ColorView>& some) { p.color.find_views(some, static_cast<int>(first), rule, p.stream, p.times); });
     if (p.color.decide(views, rule, p.stream, p.times) == 0) explain_unseen(inputs);
     progress.step();
     p.color.fill(volume.grid, p.stream, p.times);

@@ -12,8 +12,10 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <numeric>
 
 #include "triangle_tree.h"
+#include "vdbcarve/color_space.h"
 #include "vdbcarve/error.h"
 
 namespace vdbcarve {
@@ -21,12 +23,13 @@ namespace {
 
 double share(const std::vector<double>& sorted, double s) { return sorted[static_cast<size_t>(s * static_cast<double>(sorted.size() - 1))]; }
 
-SurfaceDistances distances(const std::vector<TriangleTree::Sample>& points, const TriangleTree& to, double threshold, std::vector<double>* angles_deg) {
+SurfaceDistances distances(const std::vector<TriangleTree::Sample>& points, const TriangleTree& to, double threshold, std::vector<double>* angles_deg, const std::function<void(size_t, const TriangleTree::Nearest&)>& visit = {}) {
     std::vector<double> d(points.size());
     if (angles_deg) angles_deg->resize(points.size());
     tbb::parallel_for(size_t{0}, points.size(), [&](size_t n) {
         const TriangleTree::Nearest nearest = to.nearest(points[n].point);
         d[n] = nearest.distance;
+        if (visit) visit(n, nearest);
         if (angles_deg) {
             const double cosine = std::clamp(points[n].normal.dot(to.triangle(nearest.triangle).normal().normalized()), -1.0, 1.0);
             (*angles_deg)[n] = std::acos(cosine) * 180 / std::numbers::pi;
@@ -101,7 +104,30 @@ Evaluation evaluate(const Mesh& mesh, const Mesh& truth, const EvaluateOptions& 
     out.threshold = options.threshold > 0 ? options.threshold : 0.01 * out.truth_size;
     progress.step();
     std::vector<double> angles;
-    out.to_truth = distances(a.samples(options.samples, options.seed), b, out.threshold, &angles);
+    const std::vector<TriangleTree::Sample> points = a.samples(options.samples, options.seed);
+    std::vector<double> colors(points.size(), -1);
+    std::function<void(size_t, const TriangleTree::Nearest&)> compare_colors;
+    if (!mesh.colors.empty() && !truth.colors.empty())
+        compare_colors = [&](size_t n, const TriangleTree::Nearest& nearest) {
+            if (nearest.distance > out.threshold) return;
+            const auto color = [](const Mesh& of, const TriangleTree& tree, int triangle, const Vec3d& p) {
+                const Vec3d w = tree.triangle(triangle).weights(p);
+                std::array<double, 3> c{};
+                for (size_t i = 0; i < 3; ++i)
+                    for (size_t k = 0; k < 3; ++k) c[i] += w[static_cast<Eigen::Index>(k)] * of.colors[of.triangles[static_cast<size_t>(triangle)][k]][i];
+                return lab_from_linear(c);
+            };
+            colors[n] = ciede2000(color(mesh, a, points[n].triangle, points[n].point), color(truth, b, nearest.triangle, b.nearest_on(nearest.triangle, points[n].point)));
+        };
+    out.to_truth = distances(points, b, out.threshold, &angles, compare_colors);
+    colors.erase(std::remove(colors.begin(), colors.end(), -1.0), colors.end());
+    std::sort(colors.begin(), colors.end());
+    out.color_median = out.color_p95 = out.color_mean = NAN;
+    if (!colors.empty()) {
+        out.color_median = share(colors, 0.5);
+        out.color_p95 = share(colors, 0.95);
+        out.color_mean = std::accumulate(colors.begin(), colors.end(), 0.0) / static_cast<double>(colors.size());
+    }
     progress.step();
     out.from_truth = distances(b.samples(options.samples, options.seed + 1), a, out.threshold, nullptr);
     progress.step();
@@ -148,7 +174,7 @@ std::string evaluation_json(const Evaluation& e) {
                                    {"recall", e.from_truth.within}, {"f_score", e.f_score}, {"hausdorff", e.hausdorff}, {"hausdorff95", e.hausdorff95},
                                    {"volume", e.volume}, {"truth_volume", e.truth_volume}, {"volume_excess", e.volume_excess}, {"iou", number(e.iou)}, {"truth_lost", number(e.truth_lost)},
                                    {"normal_error_mean_deg", e.normal_error_mean_deg}, {"normal_error_median_deg", e.normal_error_median_deg}, {"threshold", e.threshold},
-                                   {"truth_size", e.truth_size}, {"mesh_to_truth", one(e.to_truth)}, {"truth_to_mesh", one(e.from_truth)},
+                                   {"truth_size", e.truth_size}, {"color_ciede2000_median", number(e.color_median)}, {"color_ciede2000_p95", number(e.color_p95)}, {"color_ciede2000_mean", number(e.color_mean)}, {"mesh_to_truth", one(e.to_truth)}, {"truth_to_mesh", one(e.from_truth)},
                                    {"align", {{"scale", e.align.scale}, {"rotation", r}, {"translation", {e.align.translation.x(), e.align.translation.y(), e.align.translation.z()}}}}};
     return j.dump(1);
 }

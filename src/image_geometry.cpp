@@ -7,7 +7,9 @@
 
 namespace vdbcarve::io {
 
-Image8 undistort(ImageView<uint8_t> image, const Intrinsics& k, const Lens& lens, Image8* outside) {
+namespace {
+
+cv::Mat undistorted(const cv::Mat& image, const Intrinsics& k, const Lens& lens, Image8* outside) {
     // OpenCV counts the first pixel's centre as (0, 0), we as (0.5, 0.5).
     const cv::Matx33d matrix(k.fx, 0, k.cx - 0.5, 0, k.fy, k.cy - 0.5, 0, 0, 1);
     const auto c = [&](size_t i) { return i < lens.coefficients.size() ? lens.coefficients[i] : 0.0; };
@@ -25,18 +27,27 @@ Image8 undistort(ImageView<uint8_t> image, const Intrinsics& k, const Lens& lens
         cv::initUndistortRectifyMap(matrix, d, cv::noArray(), matrix, size, CV_32FC1, map_x, map_y);
     }
     cv::Mat result;
-    cv::remap(wrap(image), result, map_x, map_y, cv::INTER_LINEAR, cv::BORDER_REPLICATE);
+    cv::remap(image, result, map_x, map_y, cv::INTER_LINEAR, cv::BORDER_REPLICATE);
     if (outside) {
         *outside = Image8(k.width_px, k.height_px);
         for (int y = 0; y < k.height_px; ++y)
             for (int x = 0; x < k.width_px; ++x) {
                 const float u = map_x.at<float>(y, x), v = map_y.at<float>(y, x);
-                const bool in = u >= -0.5f && v >= -0.5f && u <= static_cast<float>(image.width) - 0.5f &&
-                                v <= static_cast<float>(image.height) - 0.5f;
+                const bool in = u >= -0.5f && v >= -0.5f && u <= static_cast<float>(image.cols) - 0.5f &&
+                                v <= static_cast<float>(image.rows) - 0.5f;
                 if (!in) outside->at(x, y) = 255;
             }
     }
-    return unwrap(result);
+    return result;
+}
+
+}  // namespace
+
+Image8 undistort(ImageView<uint8_t> image, const Intrinsics& k, const Lens& lens, Image8* outside) { return unwrap(undistorted(wrap(image), k, lens, outside)); }
+
+Photo undistort(const Photo& photo, const Intrinsics& k, const Lens& lens) {
+    if (photo.pixels8.empty()) return {{}, unwrap<uint16_t>(undistorted(wrap(photo.pixels16.view()), k, lens, nullptr))};
+    return {unwrap(undistorted(wrap(photo.pixels8.view()), k, lens, nullptr)), {}};
 }
 
 Image8 distort(ImageView<uint8_t> image, int margin, const Intrinsics& k, const Lens& lens) {

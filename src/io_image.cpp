@@ -9,7 +9,10 @@
 
 namespace vdbcarve::io {
 
-Image8 read_image8(const std::filesystem::path& file) {
+namespace {
+
+/// Grey, RGB or RGBA, 8 or 16 bits.
+cv::Mat decode(const std::filesystem::path& file) {
     cv::Mat m;
     try {
         m = cv::imread(file.string(), cv::IMREAD_UNCHANGED | cv::IMREAD_IGNORE_ORIENTATION);
@@ -20,22 +23,29 @@ Image8 read_image8(const std::filesystem::path& file) {
         if (!std::filesystem::exists(file)) throw InputError(file.string() + ": no such file");
         throw InputError(file.string() + ": is not a picture that can be decoded, or is damaged");
     }
-    if (m.depth() == CV_16U) {
-        // (v * 255 + 32767) / 65535, rounded: 32767 -> 127, 32768 -> 128.
-        cv::Mat narrow(m.rows, m.cols, CV_8UC(m.channels()));
-        for (int y = 0; y < m.rows; ++y) {
-            const auto* from = m.ptr<uint16_t>(y);
-            auto* to = narrow.ptr<uint8_t>(y);
-            for (int i = 0; i < m.cols * m.channels(); ++i) to[i] = static_cast<uint8_t>((from[i] * 255u + 32767u) / 65535u);
-        }
-        m = narrow;
-    } else if (m.depth() != CV_8U) {
-        throw InputError(file.string() + ": has neither 8 nor 16 bits a channel");
-    }
+    if (m.depth() != CV_8U && m.depth() != CV_16U) throw InputError(file.string() + ": has neither 8 nor 16 bits a channel");
     if (m.channels() == 3) cv::cvtColor(m, m, cv::COLOR_BGR2RGB);
     if (m.channels() == 4) cv::cvtColor(m, m, cv::COLOR_BGRA2RGBA);
     if (m.channels() == 2) throw InputError(file.string() + ": has two channels; grey, RGB and RGBA are read");
-    return unwrap(m);
+    return m;
+}
+
+}  // namespace
+
+Image8 read_image8(const std::filesystem::path& file) {
+    const cv::Mat m = decode(file);
+    if (m.depth() == CV_8U) return unwrap(m);
+    // (v * 255 + 32767) / 65535, rounded: 32767 -> 127, 32768 -> 128.
+    Image8 out(m.cols, m.rows, m.channels());
+    const Image16 wide = unwrap<uint16_t>(m);
+    for (size_t i = 0; i < wide.data.size(); ++i) out.data[i] = static_cast<uint8_t>((wide.data[i] * 255u + 32767u) / 65535u);
+    return out;
+}
+
+Photo read_photo(const std::filesystem::path& file) {
+    const cv::Mat m = decode(file);
+    if (m.depth() == CV_8U) return {unwrap(m), {}};
+    return {{}, unwrap<uint16_t>(m)};
 }
 
 std::vector<uint8_t> encode_png(ImageView<uint8_t> image) {

@@ -16,12 +16,17 @@ namespace vdbcarve::io {
 /// pixels as stored. Throws InputError naming the file.
 Image8 read_image8(const std::filesystem::path& file);
 
+/// The same without rounding: the file's own 8 or 16 bits.
+Photo read_photo(const std::filesystem::path& file);
+
 /// PNG bytes of a grey, RGB or RGBA picture. Deterministic.
 std::vector<uint8_t> encode_png(ImageView<uint8_t> image);
 
 /// The picture that a camera with the same intrinsics and no lens distortion would have taken, linear
 /// interpolation. `outside` (optional) becomes 255 where the source picture has no pixel.
 Image8 undistort(ImageView<uint8_t> image, const Intrinsics& intrinsics, const Lens& lens, Image8* outside);
+
+Photo undistort(const Photo& photo, const Intrinsics& intrinsics, const Lens& lens);
 
 /// What a camera with this lens sees of `image`, taken by the same camera without distortion but with `margin` more pixels on
 /// every side; the reverse of undistort. Linear interpolation.

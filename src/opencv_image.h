@@ -9,14 +9,16 @@
 namespace vdbcarve::io {
 
 /// Borrows the pixels.
-inline cv::Mat wrap(ImageView<uint8_t> image) {
-    return {image.height, image.width, CV_8UC(image.channels), const_cast<uint8_t*>(image.data)};
+template <class T>
+cv::Mat wrap(ImageView<T> image) {
+    return {image.height, image.width, CV_MAKETYPE(cv::DataType<T>::depth, image.channels), const_cast<T*>(image.data)};
 }
 
-inline Image8 unwrap(const cv::Mat& m) {
-    Image8 out(m.cols, m.rows, m.channels());
+template <class T = uint8_t>
+Image<T> unwrap(const cv::Mat& m) {
+    Image<T> out(m.cols, m.rows, m.channels());
     for (int y = 0; y < m.rows; ++y)
-        std::copy_n(m.ptr<uint8_t>(y), static_cast<size_t>(m.cols) * static_cast<size_t>(m.channels()),
+        std::copy_n(m.ptr<T>(y), static_cast<size_t>(m.cols) * static_cast<size_t>(m.channels()),
                     out.data.data() + static_cast<size_t>(y) * static_cast<size_t>(m.cols) * static_cast<size_t>(m.channels()));
     return out;
 }

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <mutex>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -14,6 +15,7 @@
 #include "carve_plan.h"
 #include "io_image.h"
 #include "memory.h"
+#include "same_transform.h"
 #include "sha256.h"
 #include "statistics.h"
 #include "vdbcarve/carve.h"
@@ -73,20 +75,6 @@ void add_camera(Sha256& hash, const Camera& c) {
     for (int i = 0; i < 3; ++i) hash.add_value(c.camera_from_world.translation[i]);
 }
 
-/// File name of a view's mask in OUT/masks, unique among the views.
-std::vector<std::string> mask_names(const Views& views) {
-    std::set<std::string> stems;
-    bool unique = true;
-    for (const View& v : views.views) unique &= stems.insert(fs::path(v.name).stem().string()).second;
-    std::vector<std::string> out;
-    for (const View& v : views.views) {
-        std::string name = unique ? fs::path(v.name).stem().string() : v.name;
-        std::replace(name.begin(), name.end(), '/', '_');
-        out.push_back(name + ".png");
-    }
-    return out;
-}
-
 std::string grid_text(const std::array<int, 3>& d) {
     return std::to_string(d[0]) + "x" + std::to_string(d[1]) + "x" + std::to_string(d[2]);
 }
@@ -115,6 +103,7 @@ class Job {
             return finish();
         }
         stage("level_set", [&] { return make_surface(); });
+        if (o_.color.mode != ColorMode::None) stage("color", [&] { return make_color(); });
         stage("mesh", [&] { return make_mesh(); });
         stage("export", [&] { export_all(); return false; });
         return finish();
@@ -165,6 +154,10 @@ class Job {
             const Vec3d size = o_.bounds->max() - o_.bounds->min();
             need(size.allFinite() && size.minCoeff() > 0, "--bounds has no volume: every maximum must exceed its minimum");
         }
+        need(o_.color.depth_vox >= 1 && o_.color.depth_vox <= 1000, "--color-depth is " + std::to_string(o_.color.depth_vox) + " layers, must be 1..1000");
+        need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox, "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
+        need(!o_.color.skip_upright || o_.color.mode == ColorMode::Best, "--paper is of --color best");
+        need(o_.color_leave_out == 0 || o_.color_leave_out >= 2, "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
         for (const std::string& f : o_.mesh_formats)
             need(f == "ply" || f == "obj" || f == "stl", "--mesh-formats: '" + f + "' is not written yet (ply, obj, stl)");
         if (!bad.empty()) throw UsageError(bad);
@@ -203,7 +196,8 @@ class Job {
         }
 
         // Every input file is hashed once; the masks depend on what they are made from and how.
-        std::vector<std::string> file_hashes(n);
+        file_hashes_.resize(n);
+        std::vector<std::string>& file_hashes = file_hashes_;
         std::vector<json> per_file(n, json::object());
         tbb::parallel_for(size_t{0}, n, [&](size_t i) {
             Sha256 h;
@@ -412,7 +406,7 @@ class Job {
     // Bytes a leaf of the surface, measured on the dragon at 512 to 2048 (BENCHMARKS.md): values, masks and nodes; the
     // level set's second set of values and its bookkeeping; the mesh with what OpenVDB needs to extract it (47 vertices a
     // leaf); two volumes, one mesh and compressed buffers while files are written.
-    static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300;
+    static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300, kColorPerLeaf = 17000, kColorGridPerLeaf = 6300;
     // On the device: candidate leaves (1.35 for each that stays) with values, views and cells, and the grid; the level set's two sets
     // of values, its grid and neighbours; edges, vertices with normals and triangles.
     static constexpr double kDeviceHullPerLeaf = 1.35 * (2048 + 64 + 240) + 2148, kDeviceSurfacePerLeaf = 2 * 2048 + 64 + 24 + 2148, kDeviceMeshPerLeaf = 256 + 50 * 24 + 100 * 12;
@@ -440,7 +434,10 @@ class Job {
         fields += 8 * largest * static_cast<double>(tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism));
         const double hull = leaves * (o_.occupancy ? 200 : kHullPerLeaf);
         const double carve_peak = resident + kCarveBase + fields + hull;
-        const double later_peak = std::max({resident + leaves * kLevelSetPerLeaf, resident + kMeshBase + leaves * kMeshPerLeaf, resident + kExportBase + leaves * kExportPerLeaf});
+        const bool colored = o_.color.mode != ColorMode::None;
+        const double color_grid = colored ? kColorGridPerLeaf : 0;
+        const double later_peak = std::max({resident + leaves * kLevelSetPerLeaf, colored ? resident + leaves * kColorPerLeaf : 0.0, resident + kMeshBase + leaves * (kMeshPerLeaf + color_grid),
+                                            resident + kExportBase + leaves * (kExportPerLeaf + 1.5 * color_grid)});
         const double peak = o_.last_stage == LastStage::Export ? std::max(carve_peak, later_peak) : carve_peak;
         json& g = report_["grid"];
         g["expected_leaves"] = std::llround(leaves);
@@ -745,9 +742,141 @@ class Job {
         return false;
     }
 
+    // --------------------------------------------------------------------------------------- colour
+
+    /// Photographs that are silhouettes themselves have no colour to give.
+    bool photos_are_masks() const {
+        for (size_t i : used_)
+            if (masks_.origins[i].rfind(views_.views[i].image_path.string() + " (", 0) != 0) return false;
+        return true;
+    }
+
+    std::vector<ColorInput> color_inputs() {
+        const std::vector<Camera> cameras = views_.cameras();
+        std::vector<ColorInput> out;
+        for (size_t u = 0; u < used_.size(); ++u) {
+            const size_t i = used_[u];
+            const bool held_back = o_.color_leave_out >= 2 && u % static_cast<size_t>(o_.color_leave_out) == static_cast<size_t>(o_.color_leave_out) / 2;
+            out.push_back({views_.views[i].name, cameras[i], view_of(masks_.masks[i]), {}, !held_back && !views_.views[i].image_path.empty()});
+        }
+        return out;
+    }
+
+    /// Photographs of the used views first <= u < last.
+    PhotoSource photo_source() {
+        return [this](size_t first, size_t last) {
+            std::vector<Photo> out(last - first);
+            tbb::parallel_for(first, last, [&](size_t u) {
+                const View& v = views_.views[used_[u]];
+                if (v.image_path.empty()) return;
+                try {
+                    out[u - first] = load_photo(v);
+                } catch (const InputError& e) {
+                    // Carving needed its mask only.
+                    const std::lock_guard lock(missing_mutex_);
+                    if (missing_photos_.insert(v.name).second) progress_.warn(std::string(e.what()) + "; it gives no colour");
+                }
+            });
+            return out;
+        };
+    }
+
+    ColorOptions color_options() {
+        ColorOptions options = o_.color;
+        if (o_.occupancy && options.normal_radius_vox == 0) options.normal_radius_vox = 3;
+        options.device = o_.device;
+        const std::string& up = views_.up;
+        if (!up.empty()) {
+            options.up = Vec3d::Unit(up.back() - 'x');
+            if (up.front() == '-') options.up = -options.up;
+        }
+        // Photographs, their fields and what decoding needs besides, a view.
+        double largest = 1;
+        for (const size_t i : used_) {
+            const Intrinsics& k = views_.views[i].camera.intrinsics;
+            largest = std::max(largest, 12.0 * k.width_px * k.height_px);
+        }
+        const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
+        const double room = limit - static_cast<double>(resident_memory_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kColorPerLeaf;
+        options.batch = static_cast<size_t>(std::clamp(room / largest, 1.0, static_cast<double>(used_.size())));
+        if (options.batch < used_.size()) progress_.note("photographs of " + std::to_string(options.batch) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) + " GB");
+        return options;
+    }
+
+    bool make_color() {
+        Sha256 h;
+        const ColorOptions& c = o_.color;
+        h.add("color").add_value(kCodeVersion).add(surface_key_).add_value(c.mode).add_value(c.test_occlusion).add_value(c.skip_upright).add_value(c.exposure);
+        h.add_value(c.exposure_options.per_channel).add_value(c.depth_vox).add_value(c.normal_radius_vox).add_value(o_.color_leave_out);
+        for (size_t i : used_) h.add(file_hashes_[i]);
+        color_key_ = h.hex();
+        if (photos_are_masks()) {
+            progress_.note("the images are the silhouettes themselves: there is no colour to take");
+            color_key_ += "none";
+            return false;
+        }
+        const fs::path file = store_.path("color", color_key_, ".vdb"), note_file = store_.path("color", color_key_, ".json");
+        if (const auto note = stage_note(note_file, {"color", "views", "warnings"}); note && fs::exists(file)) {
+            for (const openvdb::GridBase::Ptr& grid : read_vdb(file)) {
+                if (grid->getName() == "color") color_ = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
+                if (grid->getName() == "views") views_grid_ = grid;
+                if (grid->getName() == "confidence") confidence_grid_ = grid;
+            }
+            if (color_) {
+                report_["color"] = (*note)["color"];
+                color_views_ = (*note)["views"];
+                for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+                return true;
+            }
+        }
+        const size_t warnings_before = progress_.warnings().size();
+        const std::vector<ColorInput> inputs = color_inputs();
+        ColorOptions options = color_options();
+        ColorResult result;
+        const bool done = backend_ == Backend::Cuda && on_device("color", [&] {
+            if (!surface_on_device_) device_->set_surface(*surface_);
+            surface_on_device_ = true;
+            result = device_->color(*surface_, inputs, photo_source(), options, progress_);
+        });
+        if (!done) result = color_in_batches(*surface_, inputs, photo_source(), options, progress_);
+        color_ = result.color;
+        views_grid_ = result.views;
+        confidence_grid_ = result.confidence;
+        const ColorStatistics& s = result.statistics;
+        const auto of_surface = [&](size_t n) { return static_cast<double>(n) / static_cast<double>(s.surface_voxels); };
+        json ms;
+        for (const auto& [name, value] : result.milliseconds) ms[name] = value;
+        report_["color"] = {{"surface_voxels", s.surface_voxels}, {"seen_share", of_surface(s.colored)}, {"synthesised_share", of_surface(s.synthesised)},
+                            {"exposure_disagreement_before", result.exposure.disagreement_before}, {"exposure_disagreement", result.exposure.disagreement}, {"milliseconds", ms}};
+        color_views_ = json::object();
+        for (size_t u = 0; u < inputs.size(); ++u)
+            color_views_[inputs[u].name] = {{"color_used", inputs[u].use && !missing_photos_.count(inputs[u].name)}, {"exposure_gain", result.exposure.gains[u]}, {"first_choice_share", of_surface(s.voxels_of_view[u])}};
+        if (of_surface(s.synthesised) > 0.25)
+            progress_.warn(std::to_string(std::lround(100 * of_surface(s.synthesised))) + " % of the surface is seen by no photograph (12 degrees or more above it, 3 px inside its mask): its colour is made up from around it");
+        write_vdb(file, {color_, views_grid_, confidence_grid_}, metadata());
+        const std::vector<std::string> all = progress_.warnings();
+        write_file(note_file, json{{"color", report_["color"]}, {"views", color_views_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}}.dump(1) + "\n");
+        return false;
+    }
+
+    /// Colours of the mesh's vertices.
+    void color_mesh() {
+        if (!color_) return;
+        size_t missed = 0;
+        if (o_.color_from_photos) {
+            ColorOptions options = color_options();
+            for (size_t u : used_) options.gains.push_back(color_views_[views_.views[u].name]["exposure_gain"].get<std::array<double, 3>>());
+            report_["color"]["vertices_seen_share"] = color_vertices_from_photos(mesh_, *surface_, *color_, color_inputs(), photo_source(), options, progress_);
+        } else {
+            missed = color_vertices(mesh_, *color_);
+        }
+        if (missed) progress_.warn(std::to_string(missed) + " vertices of the mesh have no coloured voxel around and are black");
+    }
+
     bool make_mesh() {
         Sha256 h;
-        mesh_key_ = h.add("mesh").add_value(kCodeVersion).add(surface_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).hex();
+        h.add("mesh").add_value(kCodeVersion).add(surface_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).add(color_key_);
+        mesh_key_ = h.add_value(o_.color_from_photos && color_).hex();
         const fs::path file = store_.path("mesh", mesh_key_, ".ply");
         const bool reused = fs::exists(file);
         if (reused) {
@@ -764,6 +893,7 @@ class Job {
                 if (meshed) mesh_ = device_->fetch_mesh(o_.normals);
             });
             if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
+            color_mesh();
             write_mesh(file, mesh_);
         }
         measures_ = measure(mesh_);
@@ -790,6 +920,15 @@ class Job {
         if (o_.occupancy) {
             if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
             grids.push_back(occupancy_);
+        }
+        if (color_) {
+            openvdb::Vec3SGrid::Ptr named = openvdb::Vec3SGrid::create(color_->treePtr());
+            named->openvdb::MetaMap::operator=(*color_);
+            named->setTransform(same_transform(color_->transform()));
+            named->setName(o_.dcc == "houdini" ? "Cd" : "color");
+            grids.push_back(named);
+            if (o_.views_grid) grids.push_back(views_grid_);
+            if (o_.confidence_grid) grids.push_back(confidence_grid_);
         }
         write_vdb(o_.output / "volume.vdb", grids, metadata());
         const std::string up = o_.views.up.empty() ? views_.up : o_.views.up;
@@ -839,6 +978,8 @@ class Job {
         if (weak_count)
             progress_.warn(std::to_string(weak_count) + " views agree with the result by less than 0.9 (silhouette IoU): " + weak +
                            (weak_count > 5 ? " …" : "") + ": look at their masks and cameras");
+        for (json& view : report_["views"])
+            if (const auto found = color_views_.find(view["name"].get<std::string>()); found != color_views_.end()) view.update(*found);
         for (const std::string& name : views_.left_out)
             report_["views"].push_back({{"name", name}, {"used", false}, {"silhouette_iou", 0.0}, {"contour_p95_px", 0.0}, {"mask", ""}});
         minimum_iou_ = *std::min_element(ious.begin(), ious.end());
@@ -907,6 +1048,12 @@ class Job {
     std::vector<CarveInput> inputs_;
     CarveOptions carve_;
     openvdb::FloatGrid::Ptr hull_, surface_;
+    openvdb::Vec3SGrid::Ptr color_;
+    openvdb::GridBase::Ptr views_grid_, confidence_grid_;
+    json color_views_ = json::object();        ///< what colouring says of each view
+    std::set<std::string> missing_photos_;
+    std::mutex missing_mutex_;
+    std::vector<std::string> file_hashes_;     ///< of everything a view is made from
     openvdb::MaskGrid::Ptr occupancy_;
     Mesh mesh_;
     MeshMeasures measures_;
@@ -917,12 +1064,25 @@ class Job {
     int device_bricks_ = 1;
     std::optional<DevicePipeline> device_;
     bool surface_on_device_ = false;
-    std::string mask_key_, hull_key_, surface_key_, mesh_key_;
+    std::string mask_key_, hull_key_, surface_key_, color_key_, mesh_key_;
     double median_iou_ = 0, minimum_iou_ = 0;
     std::vector<SilhouetteAgreement> agreement_;  ///< of views_
 };
 
 }  // namespace
+
+std::vector<std::string> mask_names(const Views& views) {
+    std::set<std::string> stems;
+    bool unique = true;
+    for (const View& v : views.views) unique &= stems.insert(fs::path(v.name).stem().string()).second;
+    std::vector<std::string> out;
+    for (const View& v : views.views) {
+        std::string name = unique ? fs::path(v.name).stem().string() : v.name;
+        std::replace(name.begin(), name.end(), '/', '_');
+        out.push_back(name + ".png");
+    }
+    return out;
+}
 
 Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress) {
     openvdb::initialize();

@@ -7,6 +7,9 @@
 #include <cmath>
 #include <limits>
 
+#include "vdbcarve/color_space.h"
+#include "vdbcarve/error.h"
+
 namespace vdbcarve {
 namespace {
 
@@ -89,6 +92,40 @@ Raster rasterize(const Mesh& mesh, const Camera& camera) {
             depth = static_cast<float>(z);
             out.face.at(x, y) = static_cast<uint32_t>(t);
         }
+    });
+    return out;
+}
+
+Image8 render_colors(const Mesh& mesh, const Camera& camera, const std::function<std::array<float, 3>(const Vec3d&)>& color_at) {
+    if (mesh.colors.empty() && !color_at) throw UsageError("render: the mesh has no colours");
+    const Intrinsics& k = camera.intrinsics;
+    const auto vertices = project_all(mesh, camera);
+    ImageF depth(k.width_px, k.height_px, 1, std::numeric_limits<float>::infinity());
+    Image8 out(k.width_px, k.height_px, 4);
+    for_each_covered(mesh, camera, vertices, [&](int x, int y, size_t t, double w0, double w1, double w2) {
+        const auto& f = mesh.triangles[t];
+        double w[3] = {w0, w1, w2}, z = 0;
+        if (k.orthographic) {
+            for (size_t c = 0; c < 3; ++c) z += w[c] * vertices[f[c]].z;
+        } else {
+            double sum = 0;
+            for (size_t c = 0; c < 3; ++c) sum += w[c] /= vertices[f[c]].z;
+            for (double& a : w) a /= sum;
+            z = 1 / sum;
+        }
+        if (!(static_cast<float>(z) < depth.at(x, y))) return;
+        depth.at(x, y) = static_cast<float>(z);
+        std::array<float, 3> color{};
+        if (color_at) {
+            Vec3d p = Vec3d::Zero();
+            for (size_t c = 0; c < 3; ++c) p += w[c] * Vec3d(mesh.vertices[f[c]][0], mesh.vertices[f[c]][1], mesh.vertices[f[c]][2]);
+            color = color_at(p);
+        } else {
+            for (size_t i = 0; i < 3; ++i)
+                for (size_t c = 0; c < 3; ++c) color[i] += static_cast<float>(w[c]) * mesh.colors[f[c]][i];
+        }
+        for (int i = 0; i < 3; ++i) out.at(x, y, i) = srgb8_from_linear(color[static_cast<size_t>(i)]);
+        out.at(x, y, 3) = 255;
     });
     return out;
 }

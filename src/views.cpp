@@ -306,4 +306,9 @@ void check_views(const Views& views) {
     }
 }
 
+Photo load_photo(const View& view) {
+    Photo photo = io::read_photo(view.image_path);
+    return view.lens.distorts() ? io::undistort(photo, view.camera.intrinsics, view.lens) : photo;
+}
+
 }  // namespace vdbcarve

@@ -75,9 +75,13 @@ TEST(Sight, BlockedAgreesWithSmallStepsOnNoise) {
                 }
     }
     const NanoBuffer bytes = to_nanovdb(*grid, false);
-    const auto accessor = grid_in(bytes)->getAccessor();
-    ColorOptions options;
-    const kernel::ColorRule rule = color_rule(options, 1, block_box(*grid));
+    const auto* nano = grid_in(bytes);
+    std::vector<uint64_t> walls(nano->tree().nodeCount(0) * kernel::kWallWords);
+    for (size_t n = 0; n < walls.size(); ++n)
+        for (uint32_t at = 0; at < 64; ++at) walls[n] |= static_cast<uint64_t>(nano->tree().getFirstNode<0>()[n / 8].getValue(static_cast<uint32_t>(n % 8) * 64 + at) < 0.5f) << at;
+    const kernel::SightGrid sight{nano, walls.data(), 0.5f};
+    kernel::SightCells cells(sight);
+    const kernel::ColorRule rule = color_rule({}, block_box(*grid));
     int blocked = 0, compared = 0;
     for (int n = 0; n < 1000; ++n) {
         const Vec3d from(uniform(-330, 330), uniform(-330, 330), uniform(-330, 330));
@@ -86,8 +90,8 @@ TEST(Sight, BlockedAgreesWithSmallStepsOnNoise) {
         if (n % 50 == 0) way = Vec3d::Unit(n / 50 % 3) * (n % 100 ? 1 : -1);
         way.normalize();
         const double length = uniform(5, 700);
-        const bool found = kernel::is_blocked(accessor, rule.box, {static_cast<float>(from.x()), static_cast<float>(from.y()), static_cast<float>(from.z())},
-                                              {static_cast<float>(way.x()), static_cast<float>(way.y()), static_cast<float>(way.z())}, static_cast<float>(length), 0.5f);
+        const bool found = kernel::is_blocked(cells, rule.box, {static_cast<float>(from.x()), static_cast<float>(from.y()), static_cast<float>(from.z())},
+                                              {static_cast<float>(way.x()), static_cast<float>(way.y()), static_cast<float>(way.z())}, static_cast<float>(length));
         // Certainly: a cell entered by a hundredth of a voxel. Possibly: one that comes as near.
         bool certain = false, possible = false;
         for (double t = 0; t < length; t += 0.02) {
@@ -114,6 +118,36 @@ TEST(Sight, BlockedAgreesWithSmallStepsOnNoise) {
     EXPECT_GT(blocked, 50);
     EXPECT_LT(blocked, 900);
     EXPECT_GT(compared, 950);
+}
+
+// What is remembered of one line of sight must not change the next.
+TEST(Sight, AnswersDoNotDependOnWhatWasAskedBefore) {
+    const ColorScene s = color_scene(small_spec("ellipsoids", 8, 128, 96), 320);
+    const NanoBuffer bytes = to_nanovdb(*s.surface, false);
+    const auto* nano = grid_in(bytes);
+    const float threshold = sight_threshold(*s.surface);
+    std::vector<uint64_t> walls(nano->tree().nodeCount(0) * kernel::kWallWords);
+    for (size_t n = 0; n < walls.size(); ++n)
+        for (uint32_t at = 0; at < 64; ++at) walls[n] |= static_cast<uint64_t>(nano->tree().getFirstNode<0>()[n / 8].getValue(static_cast<uint32_t>(n % 8) * 64 + at) < threshold) << at;
+    const kernel::SightGrid sight{nano, walls.data(), threshold};
+    const kernel::ColorRule rule = color_rule({}, block_box(*s.surface));
+    kernel::SightCells kept(sight);
+    size_t blocked = 0, asked = 0;
+    for (auto it = s.surface->cbeginValueOn(); it; ++it) {
+        if (*it < 1.5f * s.voxel() || asked >= 60000) continue;
+        const openvdb::Coord c = it.getCoord();
+        for (const Vec3d& way : {Vec3d(1, 0.2, 0.1), Vec3d(-0.3, 1, 0.4), Vec3d(0.2, -0.4, -1), Vec3d(-1, -1, 0.3)}) {
+            const Vec3d w = way.normalized();
+            const kernel::Vec3 from{static_cast<float>(c[0]), static_cast<float>(c[1]), static_cast<float>(c[2])}, to{static_cast<float>(w.x()), static_cast<float>(w.y()), static_cast<float>(w.z())};
+            kernel::SightCells fresh(sight);
+            const bool expected = kernel::is_blocked(fresh, rule.box, from, to, 2000);
+            ASSERT_EQ(kernel::is_blocked(kept, rule.box, from, to, 2000), expected);
+            blocked += expected;
+            ++asked;
+        }
+    }
+    EXPECT_GT(blocked, asked / 10);
+    EXPECT_LT(blocked, asked * 9 / 10);
 }
 
 // ------------------------------------------------------------------------------------ normals

@@ -4,11 +4,15 @@
 //   vdbcarve_device_bench sizes                   18, 36 and 72 views at 512 to 4096, spheres, device only
 //   vdbcarve_device_bench scene FOLDER GRID…      a packed scene, device only
 //   vdbcarve_device_bench hull FOLDER N FILE      carves a packed scene at resolution N on the device and writes the hull as .vdb
+//   vdbcarve_device_bench color FOLDER GRID       colours a packed scene with photographs, step by step
 //   vdbcarve_device_bench ceilings                what the device can do at most
 //   vdbcarve_device_bench once GRID               one run of all stages, for a profiler
+#include <algorithm>
+#include <chrono>
 #include <cstdio>
 #include <fstream>
 #include <iostream>
+#include <map>
 
 #include "device_ceilings.h"
 #include "support/packed_scene.h"
@@ -37,6 +41,46 @@ BenchScene packed(const std::string& folder, int views) {
         out.masks.push_back(scene.masks[from]);
     }
     return out;
+}
+
+/// Medians of seven runs, the first thrown away; once more for `best`.
+void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
+    openvdb::initialize();
+    CarveOptions c;
+    c.bounds_world = scene.bounds;
+    c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / *std::max_element(grid.begin(), grid.end());
+    const FieldPlan plan = plan_fields(scene.cameras, c);
+    DistanceOptions d;
+    d.scale = plan.scale;
+    d.reach_samples = plan.reach_samples;
+    DevicePipeline device;
+    device.upload(scene.mask_views());
+    device.distance(d);
+    device.carve(scene.inputs(), c, progress);
+    device.level_set({});
+    const auto surface = device.surface();
+    const std::vector<ColorInput> inputs = scene.color_inputs();
+    for (const ColorMode mode : {ColorMode::Blend, ColorMode::Best}) {
+        ColorOptions o;
+        o.mode = mode;
+        std::map<std::string, std::vector<double>> steps;
+        ColorResult result;
+        for (int run = 0; run < 8; ++run) {
+            device.clear_times();
+            const auto start = std::chrono::steady_clock::now();
+            result = device.color(*surface, inputs, {}, o, progress);
+            const double wall = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+            if (run == 0) continue;
+            for (const auto& [name, ms] : device.milliseconds()) steps[name].push_back(ms);
+            steps["wall, with the grids on the host"].push_back(wall);
+        }
+        std::printf("%s: %zu voxels of the contour, %.1f %% seen, %zu views, %.0f MB on the device\n", mode == ColorMode::Best ? "best" : "blend", result.statistics.surface_voxels,
+                    100.0 * static_cast<double>(result.statistics.colored) / static_cast<double>(result.statistics.surface_voxels), inputs.size(), static_cast<double>(device.bytes()) / 1e6);
+        for (auto& [name, ms] : steps) {
+            std::sort(ms.begin(), ms.end());
+            std::printf("  %-34s %8.2f ms\n", name.c_str(), ms[ms.size() / 2]);
+        }
+    }
 }
 
 int run(const std::vector<std::string>& words) {
@@ -93,6 +137,8 @@ int run(const std::vector<std::string>& words) {
         VdbMetadata metadata;
         metadata.voxel_size = c.lattice.voxel_size;
         write_vdb(words[3], {hull}, metadata);
+    } else if (what == "color" && words.size() == 3) {
+        bench_color(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "ceilings") {
         const test::DeviceCeilings c = test::measure_ceilings();
         std::printf("copy within the device %.0f GB/s (read + written), upload %.1f GB/s, separate float operations %.0f G warp instructions/s\n", c.copy_gb_s, c.upload_gb_s, c.instructions_g_s);
@@ -101,7 +147,7 @@ int run(const std::vector<std::string>& words) {
         o.dense = false;
         std::cout << bench_table(run_bench(o, progress));
     } else {
-        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | ceilings | once GRID\n";
+        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | ceilings | once GRID\n";
         return 2;
     }
     return 0;

@@ -8,6 +8,7 @@
 #include "nanovdb_bytes.h"
 #include "same_transform.h"
 #include "support/carve_cases.h"
+#include "support/color_scene.h"
 #include "support/noise_grid.h"
 #include "support/packed_scene.h"
 #include "support/same_grid.h"
@@ -292,6 +293,112 @@ TEST_F(Gpu, OnePipelineServesOneJobAfterAnother) {
     expect_same_mesh(marching_cubes(*empty, false), extract_mesh(*empty, m, quiet_));
 }
 
+struct ColorCase {
+    std::string name;
+    std::function<ColorScene()> make;
+    std::function<void(ColorOptions&)> change;
+};
+
+void PrintTo(const ColorCase& c, std::ostream* out) { *out << c.name; }
+
+ColorScene colored(const std::string& object, int views, int resolution, const std::function<void(SyntheticSpec&)>& adjust = {}) {
+    SyntheticSpec spec = small_spec(object, views, 200, 150);
+    spec.look.exposure_jitter = 0.2;
+    if (adjust) adjust(spec);
+    return color_scene(spec, resolution);
+}
+
+ColorScene odd_photographs() {
+    ColorScene s = colored("torus", 12, 48);
+    for (size_t i = 0; i < s.photos.size(); ++i) {
+        const Image8 rgb = s.photos[i].pixels8;
+        if (i % 4 == 1) {  // 16 bits
+            s.photos[i].pixels16 = Image16(rgb.width, rgb.height, 3);
+            for (size_t n = 0; n < rgb.data.size(); ++n) s.photos[i].pixels16.data[n] = static_cast<uint16_t>(rgb.data[n] * 251 + n % 97);
+            s.photos[i].pixels8 = {};
+        } else if (i % 4 == 2) {  // RGBA
+            Image8 rgba(rgb.width, rgb.height, 4, 9);
+            for (size_t n = 0; n < rgb.data.size(); ++n) rgba.data[n / 3 * 4 + n % 3] = rgb.data[n];
+            s.photos[i].pixels8 = rgba;
+        } else if (i % 4 == 3) {  // grey
+            Image8 grey(rgb.width, rgb.height, 1);
+            for (size_t n = 0; n < grey.data.size(); ++n) grey.data[n] = rgb.data[3 * n + 1];
+            s.photos[i].pixels8 = grey;
+        }
+    }
+    s.photos[5] = {};
+    s.scene.masks[4].ignore = Image8(200, 150);
+    for (int y = 50; y < 100; ++y)
+        for (int x = 70; x < 120; ++x) s.scene.masks[4].ignore.at(x, y) = 255;
+    lend_photos(s);
+    s.inputs[7].use = false;
+    return s;
+}
+
+const std::vector<ColorCase>& color_cases() {
+    static const std::vector<ColorCase> all{
+        {"blend", [] { return colored("cup", 14, 80); }, [](ColorOptions&) {}},
+        {"best", [] { return colored("cup", 14, 80); }, [](ColorOptions& o) { o.mode = ColorMode::Best; }},
+        {"paper", [] { return colored("boxes", 9, 64); }, [](ColorOptions& o) { o.mode = ColorMode::Best; o.skip_upright = true; o.test_occlusion = false; o.exposure = false; }},
+        {"pair", [] { return colored("pair", 24, 96); }, [](ColorOptions& o) { o.exposure_options.per_channel = true; }},
+        {"batches", [] { return colored("ellipsoids", 17, 64); }, [](ColorOptions& o) { o.batch = 5; }},
+        {"best_in_batches", [] { return colored("ellipsoids", 17, 64); }, [](ColorOptions& o) { o.batch = 1; o.mode = ColorMode::Best; }},
+        {"many_views", [] { return colored("ellipsoids", 90, 40, [](SyntheticSpec& s) { s.rig.width_px = 96; s.rig.height_px = 72; }); }, [](ColorOptions&) {}},
+        {"orthographic", [] { return colored("boxes", 10, 64, [](SyntheticSpec& s) { s.rig.orthographic = true; }); }, [](ColorOptions&) {}},
+        {"windowed_normals", [] { return colored("torus", 10, 64); }, [](ColorOptions& o) { o.normal_radius_vox = 3; }},
+        {"shallow", [] { return colored("torus", 10, 64); }, [](ColorOptions& o) { o.depth_vox = 1; }},
+        {"deep", [] { return colored("torus", 10, 64); }, [](ColorOptions& o) { o.depth_vox = 7; }},
+        {"two_views", [] { return colored("ellipsoids", 2, 64, [](SyntheticSpec& s) { s.rig.arc_deg = 180; }); }, [](ColorOptions&) {}},
+        {"fine_photographs", [] { return colored("ellipsoids", 8, 40, [](SyntheticSpec& s) { s.rig.width_px = 640; s.rig.height_px = 480; }); }, [](ColorOptions&) {}},
+        {"odd_photographs", odd_photographs, [](ColorOptions&) {}},
+        {"large", [] { return colored("cup", 12, 300); }, [](ColorOptions&) {}},
+    };
+    return all;
+}
+
+class GpuColor : public Gpu, public testing::WithParamInterface<ColorCase> {};
+
+TEST_P(GpuColor, EqualsTheCpus) {
+    const ColorScene s = GetParam().make();
+    ColorOptions o;
+    GetParam().change(o);
+    const PhotoSource source = [&](size_t first, size_t last) { return std::vector<Photo>(s.photos.begin() + static_cast<long>(first), s.photos.begin() + static_cast<long>(last)); };
+    const auto run = [&](Backend backend) {
+        o.backend = backend;
+        return o.batch ? color_in_batches(*s.surface, s.inputs, source, o, quiet_) : color(*s.surface, s.inputs, o, quiet_);
+    };
+    const ColorResult cpu = run(Backend::Cpu);
+    const auto expect_equal = [&](const ColorResult& gpu) {
+        EXPECT_EQ(gpu.backend_used, "cuda");
+        expect_same(*cpu.color, *gpu.color);
+        expect_same(*cpu.views, *gpu.views);
+        expect_same(*cpu.confidence, *gpu.confidence);
+        EXPECT_EQ(cpu.exposure.gains, gpu.exposure.gains);
+        EXPECT_EQ(cpu.statistics.colored, gpu.statistics.colored);
+        EXPECT_EQ(cpu.statistics.surface_voxels, gpu.statistics.surface_voxels);
+        EXPECT_EQ(cpu.statistics.voxels_of_view, gpu.statistics.voxels_of_view);
+    };
+    expect_equal(run(Backend::Cuda));
+    // From the level set as the device made it, twice on the same buffers.
+    DevicePipeline device;
+    device.set_surface(*s.surface);
+    for (int again = 0; again < 2; ++again) expect_equal(device.color(*s.surface, s.inputs, source, o, quiet_));
+    EXPECT_GT(cpu.statistics.colored, 0u);
+    EXPECT_GT(cpu.statistics.synthesised, 0u);
+}
+
+INSTANTIATE_TEST_SUITE_P(Colors, GpuColor, testing::ValuesIn(color_cases()), [](const auto& instance) { return instance.param.name; });
+
+TEST_F(Gpu, AnUnseenSurfaceIsExplainedAlike) {
+    ColorScene s = colored("ellipsoids", 5, 32);
+    const Image8 nothing(200, 150);
+    for (ColorInput& i : s.inputs) i.mask = {nothing.view(), {}};
+    ColorOptions o;
+    const std::string cpu = error_of(ExitCode::Contradiction, [&] { color(*s.surface, s.inputs, o, quiet_); });
+    o.backend = Backend::Cuda;
+    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { color(*s.surface, s.inputs, o, quiet_); }));
+}
+
 TEST_F(Gpu, AnEmptyHullIsExplainedAlike) {
     Shoot s = shoot(small_spec("ellipsoids", 8), [](SyntheticScene& scene) { std::fill(scene.masks[3].coverage.data.begin(), scene.masks[3].coverage.data.end(), uint8_t{0}); });
     CarveOptions o = options_for(s, 48);
@@ -333,6 +440,18 @@ TEST_F(Gpu, PackedScenesEqualTheCpus) {
         const Mesh mesh = marching_cubes(*surface, false);
         ASSERT_TRUE(device.extract_mesh(false));
         expect_same_mesh(mesh, device.fetch_mesh(false));
+        if (!scene.photos.empty())
+            for (const ColorMode mode : {ColorMode::Best, ColorMode::Blend}) {
+                ColorOptions c;
+                c.mode = mode;
+                const ColorResult cpu = color(*surface, scene.color_inputs(), c, quiet_);
+                const ColorResult gpu = device.color(*surface, scene.color_inputs(), {}, c, quiet_);
+                expect_same(*cpu.color, *gpu.color);
+                expect_same(*cpu.views, *gpu.views);
+                expect_same(*cpu.confidence, *gpu.confidence);
+                EXPECT_EQ(cpu.exposure.gains, gpu.exposure.gains);
+                std::printf("%s: %zu of %zu voxels of the contour seen\n", entry.path().filename().c_str(), cpu.statistics.colored, cpu.statistics.surface_voxels);
+            }
         const MeshMeasures m = measure(mesh);
         std::printf("%s: %u leaves, %zu vertices, manifold %d, volume %.9g\n", entry.path().filename().c_str(), surface->tree().leafCount(), m.vertices, m.manifold, m.volume);
     }

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <map>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <sstream>
 
 #include "cli.h"
@@ -17,7 +19,8 @@ namespace fs = std::filesystem;
 
 struct Raw {
     EvaluateOptions options;
-    fs::path mesh, truth, cameras, truth_cameras, points;
+    fs::path mesh, truth, cameras, truth_cameras, points, photos, save;
+    bool from_volume = false;
     std::string align = "none";
 };
 
@@ -63,26 +66,85 @@ Similarity alignment(const Raw& raw, Progress& progress) {
     return align_points(from, to);
 }
 
+/// Over views used for colouring, or left out of it.
+struct PhotoMean {
+    size_t views = 0;
+    double psnr_db = 0, ssim = 0;
+};
+PhotoMean mean_of(const std::vector<PhotoComparison>& rows, bool used) {
+    PhotoMean m;
+    for (const PhotoComparison& r : rows) {
+        if (r.used != used || r.agreement.pixels == 0) continue;
+        ++m.views;
+        m.psnr_db += r.agreement.psnr_db;
+        m.ssim += r.agreement.ssim;
+    }
+    if (m.views) {
+        m.psnr_db /= static_cast<double>(m.views);
+        m.ssim /= static_cast<double>(m.views);
+    }
+    return m;
+}
+
+void print_photos(const std::vector<PhotoComparison>& rows, bool verbose) {
+    for (const bool used : {true, false})
+        if (const PhotoMean m = mean_of(rows, used); m.views)
+            std::printf("photographs, %zu views %s  PSNR %.2f dB, SSIM %.4f inside the silhouette (means)\n", m.views, used ? "used for colour    " : "left out of colour ", m.psnr_db, m.ssim);
+    if (!verbose) return;
+    for (const PhotoComparison& r : rows) std::printf("  %-32s %s  PSNR %6.2f dB  SSIM %.4f  %zu px\n", r.name.c_str(), r.used ? "used    " : "left out", r.agreement.psnr_db, r.agreement.ssim, r.agreement.pixels);
+}
+
+nlohmann::ordered_json photos_json(const std::vector<PhotoComparison>& rows) {
+    nlohmann::ordered_json views = nlohmann::ordered_json::array(), out;
+    for (const PhotoComparison& r : rows)
+        views.push_back({{"name", r.name}, {"color_used", r.used}, {"psnr_db", std::isfinite(r.agreement.psnr_db) ? nlohmann::ordered_json(r.agreement.psnr_db) : nlohmann::ordered_json()}, {"ssim", r.agreement.ssim}, {"pixels", r.agreement.pixels}});
+    for (const bool used : {true, false})
+        if (const PhotoMean m = mean_of(rows, used); m.views) out[used ? "used" : "left_out"] = {{"views", m.views}, {"psnr_db", m.psnr_db}, {"ssim", m.ssim}};
+    out["views"] = views;
+    return out;
+}
+
 }  // namespace
 
 Command add_evaluate(CLI::App& program) {
     auto raw = std::make_shared<Raw>();
-    CLI::App* app = program.add_subcommand("evaluate", "how far a mesh is from the truth: accuracy, completeness, Chamfer, F-score, volume, IoU");
+    CLI::App* app = program.add_subcommand("evaluate", "how far a mesh is from the truth (accuracy, completeness, Chamfer, F-score, volume, IoU, colour) or its photographs (PSNR, SSIM)");
     app->fallthrough();
     app->add_option("mesh", raw->mesh, "mesh, or a result folder")->required();
-    app->add_option("--truth", raw->truth, "the true mesh")->required();
+    app->add_option("--truth", raw->truth, "the true mesh; with vertex colours, colours are compared too");
+    app->add_option("--photos", raw->photos, "a scene: the coloured mesh is rendered into its cameras and compared with its photographs (PSNR, SSIM)");
+    app->add_flag("--from-volume", raw->from_volume, "render the colour of volume.vdb instead of the vertices' (--photos)");
+    app->add_option("--save", raw->save, "folder for pictures, photograph and rendering side by side (--photos)");
     app->add_option("--align", raw->align, "similarity before comparing: none, cameras, points")->capture_default_str()->check(CLI::IsMember({"none", "cameras", "points"}));
-    app->add_option("--cameras", raw->cameras, "cameras that belong to the mesh (--align cameras)");
+    app->add_option("--cameras", raw->cameras, "cameras that belong to the mesh (--align cameras), or of the photographs (--photos)");
     app->add_option("--truth-cameras", raw->truth_cameras, "the same cameras in the truth's frame");
     app->add_option("--points", raw->points, "text file, six numbers a line: a point of the mesh, the same of the truth (--align points)");
     app->add_option("--threshold", raw->options.threshold, "distance for completeness and F-score (0: 1 % of the truth's largest side)")->check(CLI::NonNegativeNumber);
     app->add_option("--samples", raw->options.samples, "points on each surface")->capture_default_str()->check(CLI::Range(100, 100000000));
     return {app, [raw](Common& common, Progress& progress) {
-                if (fs::is_directory(raw->mesh)) raw->mesh /= "mesh.ply";
+                if (raw->truth.empty() && raw->photos.empty()) throw UsageError("evaluate: give --truth, --photos or both");
+                const fs::path result = fs::is_directory(raw->mesh) ? raw->mesh : fs::path();
+                const fs::path mesh_file = result.empty() ? raw->mesh : result / "mesh.ply";
+                const Mesh mesh = read_mesh(mesh_file);
+                std::vector<PhotoComparison> photos;
+                if (!raw->photos.empty()) {
+                    if (mesh.colors.empty() && !raw->from_volume) throw InputError(mesh_file.string() + ": has no vertex colours. Remedy: reconstruct with --color blend, from photographs");
+                    ViewsOptions o;
+                    o.scene = raw->photos;
+                    if (raw->align != "cameras") o.cameras = raw->cameras;
+                    photos = compare_photos(mesh, load_views(o, progress), {result, raw->from_volume, raw->save}, progress);
+                }
+                if (raw->truth.empty()) {
+                    if (common.json == "-") std::cout << nlohmann::ordered_json{{"photos", photos_json(photos)}}.dump(1) << "\n";
+                    else print_photos(photos, common.verbose);
+                    return 0;
+                }
                 if (raw->align != "none") raw->options.align = alignment(*raw, progress);
-                const Evaluation e = evaluate(read_mesh(raw->mesh), read_mesh(raw->truth), raw->options, progress);
+                const Evaluation e = evaluate(mesh, read_mesh(raw->truth), raw->options, progress);
                 if (common.json == "-") {
-                    std::cout << evaluation_json(e) << "\n";
+                    auto j = nlohmann::ordered_json::parse(evaluation_json(e));
+                    if (!photos.empty()) j["photos"] = photos_json(photos);
+                    std::cout << j.dump(1) << "\n";
                     return 0;
                 }
                 std::printf("accuracy (mesh to truth)      mean %.6g  median %.6g  90 %% %.6g  max %.6g\n", e.to_truth.mean, e.to_truth.median, e.to_truth.p90, e.to_truth.max);
@@ -90,7 +152,9 @@ Command add_evaluate(CLI::App& program) {
                 std::printf("Chamfer %.6g, Hausdorff 95 %% %.6g, max %.6g\n", e.chamfer, e.hausdorff95, e.hausdorff);
                 std::printf("within %.6g: precision %.2f %%, recall %.2f %%, F-score %.2f %%\n", e.threshold, 100 * e.to_truth.within, 100 * e.from_truth.within, 100 * e.f_score);
                 std::printf("volume %.6g, truth %.6g, excess %+.2f %%; IoU %.4f, truth lost %.3f %%\n", e.volume, e.truth_volume, 100 * e.volume_excess, e.iou, 100 * e.truth_lost);
+                if (!std::isnan(e.color_median)) std::printf("colours off by (CIEDE2000)    mean %.2f  median %.2f  95 %% %.2f\n", e.color_mean, e.color_median, e.color_p95);
                 std::printf("normals off by %.2f degrees on average, median %.2f\n", e.normal_error_mean_deg, e.normal_error_median_deg);
+                print_photos(photos, common.verbose);
                 return 0;
             }};
 }

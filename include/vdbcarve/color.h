@@ -41,6 +41,8 @@ struct ColorInput {
 /// Photographs of the inputs first <= i < last, undistorted; empty ones for views that cannot be used.
 using PhotoSource = std::function<std::vector<Photo>(size_t first, size_t last)>;
 
+inline constexpr int kMaxNormalRadius_vox = 5;
+
 struct ColorOptions {
     ColorMode mode = ColorMode::Blend;
     bool test_occlusion = true;       ///< false: hidden surfaces take the colour of what stands in front, as in the paper
@@ -50,7 +52,7 @@ struct ColorOptions {
     ExposureOptions exposure_options;
     std::vector<std::array<double, 3>> gains;  ///< by view; used instead of an estimate when not empty
     int depth_vox = 3;                ///< layers, from the surface inwards, that get colour (the paper's free parameter)
-    int normal_radius_vox = 0;        ///< 0: normals from the level set; else the paper's Gaussian window of so many voxels (1..5)
+    int normal_radius_vox = 0;        ///< 0: normals from the level set; else the paper's Gaussian window of so many voxels (1..kMaxNormalRadius_vox)
     size_t batch = 0;                 ///< views whose photographs are in memory together; 0: all
     Backend backend = Backend::Cpu;   ///< not Auto: see choose_backend
     int device = 0;

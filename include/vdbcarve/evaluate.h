@@ -2,13 +2,16 @@
 // How far a mesh is from the truth.
 #pragma once
 
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/progress.h"
+#include "vdbcarve/render.h"
 #include "vdbcarve/triangle_mesh.h"
+#include "vdbcarve/views.h"
 
 namespace vdbcarve {
 
@@ -52,12 +55,31 @@ struct Evaluation {
     double truth_lost = 0;                  ///< share of the truth's volume outside the mesh; nan likewise
     double normal_error_mean_deg = 0, normal_error_median_deg = 0;  ///< at the mesh's points, against the truth's nearest face
     double threshold = 0, truth_size = 0;
+    /// CIEDE2000 between both surfaces' vertex colours at the mesh's points within the threshold; nan where either has none.
+    double color_median = 0, color_p95 = 0, color_mean = 0;
     Similarity align;
 };
 
 /// Point-to-triangle distances by a bounding volume hierarchy. Same numbers for any number of threads.
 /// Time: about samples * log(faces). Throws InputError for a mesh without faces.
 Evaluation evaluate(const Mesh& mesh, const Mesh& truth, const EvaluateOptions& options, Progress& progress);
+
+struct PhotoOptions {
+    std::filesystem::path result;  ///< a folder that reconstruct() made: its masks bound the comparison, its report says which views gave colour
+    bool from_volume = false;      ///< render the colour grid of its volume.vdb, not the vertices' colours
+    std::filesystem::path save;    ///< a folder for pictures, photograph and rendering side by side; empty: none
+};
+
+/// One view's rendering against its photograph.
+struct PhotoComparison {
+    std::string name;
+    bool used = true;  ///< for colouring
+    PhotoAgreement agreement;
+};
+
+/// Renders a coloured mesh into all cameras that have a photograph. Views one after the other, pictures of one in memory at a time.
+/// Throws InputError.
+std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views, const PhotoOptions& options, Progress& progress);
 
 std::string evaluation_json(const Evaluation& evaluation);
 

@@ -6,7 +6,7 @@
 #include <cstddef>
 #include <vector>
 
-#include "vdbcarve/kernel/color.h"
+#include "vdbcarve/kernel/rgb.h"
 
 namespace vdbcarve {
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "vdbcarve/backend.h"
+#include "vdbcarve/color.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/mask.h"
@@ -45,6 +46,13 @@ struct ReconstructOptions {
     Mesher mesher = Mesher::Dual;
     bool normals = false;                            ///< of the mesh, Mesher::MarchingCubes
 
+    /// How the surface is coloured; mode None: not. Gains, batch, backend and device are set by the job, and `up` from the views.
+    ColorOptions color;
+    bool color_from_photos = false;                  ///< vertex colours straight from the photographs, not from the volume
+    int color_leave_out = 0;                         ///< every so manieth view is left out of colouring, to be compared with (evaluate --photos); 0: none
+    bool views_grid = false, confidence_grid = false;  ///< further grids of volume.vdb
+    std::string dcc = "none";                        ///< none, blender, houdini, maya: the colour grid's name
+
     /// Resident memory that may be used, bytes; 0: nine tenths of the machine's. Fields are made in batches and the hull
     /// is carved in bricks where it would not do otherwise.
     size_t memory_limit = 0;
@@ -70,6 +78,9 @@ struct Reconstruction {
 /// Files of the result appear by rename; the same inputs give the same bytes (report.json and config.toml
 /// apart, which hold times and paths). Throws Error.
 Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress);
+
+/// File names of the views' masks in output/masks, by view.
+std::vector<std::string> mask_names(const Views& views);
 
 /// Empties output/stages of a folder that vdbcarve made; results stay. Returns the bytes freed.
 size_t clean(const std::filesystem::path& output);

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -20,6 +21,19 @@ struct Raster {
 
 /// Exact at pixel centres; triangles that touch the camera plane are left out. Single-threaded.
 Raster rasterize(const Mesh& mesh, const Camera& camera);
+
+/// The mesh in its own colours, without light, as RGBA in sRGB: alpha 255 where the ray through the pixel centre hits. Colours are those of the
+/// vertices, interpolated in linear light, or of `color_at` (world), where it is given. Throws UsageError for a mesh without either.
+Image8 render_colors(const Mesh& mesh, const Camera& camera, const std::function<std::array<float, 3>(const Vec3d&)>& color_at = {});
+
+/// How well a rendered view agrees with its photograph, in 8-bit sRGB, over the pixels that are hit and, where there is a mask, half covered or
+/// more and not ignored.
+struct PhotoAgreement {
+    size_t pixels = 0;
+    double psnr_db = 0;  ///< of R, G and B together; infinity where all are equal
+    double ssim = 0;     ///< Wang et al. 2004 on luma, Gaussian window of sigma 1.5 px, weighted within the region only
+};
+PhotoAgreement compare_photo(ImageView<uint8_t> rendered_rgba, const PhotoView& photo, const MaskView& mask);
 
 /// 255 where the ray through the pixel centre hits the mesh.
 Image8 silhouette_of(const Mesh& mesh, const Camera& camera);

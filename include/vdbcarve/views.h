@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "vdbcarve/geometry.h"
+#include "vdbcarve/image.h"
 #include "vdbcarve/progress.h"
 
 namespace vdbcarve {
@@ -70,6 +71,9 @@ void check_views(const Views& views);
 /// The text of a cameras.json: transforms.json form with a `vdbcarve` object for what that form cannot say.
 /// Reading it again gives the same cameras to 1e-12.
 std::string cameras_json(const Views& views, const std::filesystem::path& relative_to = {});
+
+/// The view's photograph as its camera would have taken it without distortion. Throws InputError naming the file.
+Photo load_photo(const View& view);
 
 /// "image_2" before "image_10".
 bool natural_less(const std::string& a, const std::string& b);

@@ -13,21 +13,22 @@ namespace fs = std::filesystem;
 
 namespace {
 
-void write_pgm(const fs::path& file, const Image8& image) {
+/// PGM for one channel, PPM for three.
+void write_pnm(const fs::path& file, const Image8& image) {
     std::ofstream out(file, std::ios::binary);
-    out << "P5\n" << image.width << " " << image.height << "\n255\n";
+    out << (image.channels == 3 ? "P6" : "P5") << "\n" << image.width << " " << image.height << "\n255\n";
     out.write(reinterpret_cast<const char*>(image.data.data()), static_cast<std::streamsize>(image.data.size()));
     if (!out) throw OutputError(file.string() + ": cannot be written");
 }
 
-Image8 read_pgm(const fs::path& file) {
+Image8 read_pnm(const fs::path& file) {
     std::ifstream in(file, std::ios::binary);
     std::string magic;
     int width = 0, height = 0, most = 0;
     in >> magic >> width >> height >> most;
     in.get();
-    if (!in || magic != "P5" || most != 255) throw InputError(file.string() + ": is no 8-bit PGM");
-    Image8 out(width, height);
+    if (!in || (magic != "P5" && magic != "P6") || most != 255) throw InputError(file.string() + ": is no 8-bit PGM or PPM");
+    Image8 out(width, height, magic == "P6" ? 3 : 1);
     in.read(reinterpret_cast<char*>(out.data.data()), static_cast<std::streamsize>(out.data.size()));
     if (!in) throw InputError(file.string() + ": ends early");
     return out;
@@ -44,6 +45,12 @@ std::vector<MaskView> PackedScene::mask_views() const {
 std::vector<CarveInput> PackedScene::inputs() const {
     std::vector<CarveInput> out;
     for (size_t i = 0; i < cameras.size(); ++i) out.push_back({names[i], cameras[i], nullptr});
+    return out;
+}
+
+std::vector<ColorInput> PackedScene::color_inputs() const {
+    std::vector<ColorInput> out;
+    for (size_t i = 0; i < photos.size(); ++i) out.push_back({names[i], cameras[i], view_of(masks[i]), view_of(photos[i]), true});
     return out;
 }
 
@@ -66,8 +73,9 @@ void write_packed_scene(const fs::path& folder, const PackedScene& scene) {
         for (int n = 0; n < 9; ++n) put(c.camera_from_world.rotation(n / 3, n % 3));
         for (int n = 0; n < 3; ++n) put(c.camera_from_world.translation[n]);
         out << " " << scene.names[i] << "\n";
-        write_pgm(folder / (std::to_string(i) + ".pgm"), scene.masks[i].coverage);
-        if (!scene.masks[i].ignore.empty()) write_pgm(folder / (std::to_string(i) + "_ignore.pgm"), scene.masks[i].ignore);
+        write_pnm(folder / (std::to_string(i) + ".pgm"), scene.masks[i].coverage);
+        if (!scene.photos.empty()) write_pnm(folder / (std::to_string(i) + ".ppm"), scene.photos[i].pixels8);
+        if (!scene.masks[i].ignore.empty()) write_pnm(folder / (std::to_string(i) + "_ignore.pgm"), scene.masks[i].ignore);
     }
     if (!out) throw OutputError((folder / "cameras.txt").string() + ": cannot be written");
 }
@@ -107,8 +115,9 @@ PackedScene read_packed_scene(const fs::path& folder) {
         out.names.push_back(name);
         out.cameras.push_back(c);
         Mask mask;
-        mask.coverage = read_pgm(folder / (stem + ".pgm"));
-        if (fs::exists(folder / (stem + "_ignore.pgm"))) mask.ignore = read_pgm(folder / (stem + "_ignore.pgm"));
+        mask.coverage = read_pnm(folder / (stem + ".pgm"));
+        if (fs::exists(folder / (stem + "_ignore.pgm"))) mask.ignore = read_pnm(folder / (stem + "_ignore.pgm"));
+        if (fs::exists(folder / (stem + ".ppm"))) out.photos.push_back({read_pnm(folder / (stem + ".ppm")), {}});
         out.masks.push_back(std::move(mask));
     }
     if (out.cameras.empty()) throw InputError((folder / "cameras.txt").string() + ": has no cameras");

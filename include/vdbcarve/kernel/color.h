@@ -10,15 +10,9 @@
 
 #include "vdbcarve/kernel/carve.h"
 #include "vdbcarve/kernel/ray.h"
+#include "vdbcarve/kernel/rgb.h"
 
 namespace vdbcarve::kernel {
-
-struct Rgb {
-    float r, g, b;
-};
-
-VDBCARVE_HD Rgb plus(const Rgb& a, float w, const Rgb& b) { return {a.r + w * b.r, a.g + w * b.g, a.b + w * b.b}; }
-VDBCARVE_HD Rgb minus(const Rgb& a, const Rgb& b) { return {a.r - b.r, a.g - b.g, a.b - b.b}; }
 
 /// A weighted mean about its first term.
 struct RgbMean {
@@ -57,9 +51,6 @@ VDBCARVE_HD Vec3 field_normal(const Value& value, int i, int j, int k) {
     const float inverse = 1.f / std::sqrt(size2);
     return {x * inverse, y * inverse, z * inverse};
 }
-
-/// Widest window of windowed_normal, voxels.
-inline constexpr int kMaxNormalRadius_vox = 5;
 
 /// The paper's normal of a binary model: its gradient in a window of `radius` voxels on every side, weighted by a Gaussian
 /// (weights[d2], d2 the squared distance in voxels). The gradient of a step is summed by parts: every voxel outside pulls towards itself.
@@ -126,7 +117,6 @@ struct ColorRule {
     int test_occlusion;   ///< 0: the paper's fault
     int skip_upright;     ///< 1: listing 4.2's first lines: faces that look straight up or down stay without colour
     Vec3 up;
-    float voxel_size;
     SightBox box;
 };
 
@@ -154,6 +144,11 @@ VDBCARVE_HD Vec3 towards_eye(const ColorView& view, const SurfacePoint& p, float
 
 VDBCARVE_HD Sight sight_of(const ColorView& view, const SurfacePoint& p, int best) {
     Sight out{0.f, 0.f, 0.f, 0.f, 1};
+    // Most views are on the other side: no root for those.
+    if (!view.orthographic) {
+        const float x = view.eye.x - p.x, y = view.eye.y - p.y, z = view.eye.z - p.z;
+        if (!(x * p.nx + y * p.ny + z * p.nz > 0.f)) return out;
+    }
     float distance;
     const Vec3 d = towards_eye(view, p, distance);
     out.cosine = d.x * p.nx + d.y * p.ny + d.z * p.nz;
@@ -182,12 +177,11 @@ VDBCARVE_HD Sight sight_of(const ColorView& view, const SurfacePoint& p, int bes
     return out;
 }
 
-template <class Accessor>
-VDBCARVE_HD bool is_visible(const Accessor& grid, const ColorView& view, const SurfacePoint& p, const ColorRule& rule) {
+VDBCARVE_HD bool is_visible(SightCells& cells, const ColorView& view, const SurfacePoint& p, const ColorRule& rule) {
     const SurfacePoint start{p.x + kSightStart_vox * p.nx, p.y + kSightStart_vox * p.ny, p.z + kSightStart_vox * p.nz, p.nx, p.ny, p.nz};
     float distance;
     const Vec3 d = towards_eye(view, start, distance);
-    return !is_blocked(grid, rule.box, {start.x, start.y, start.z}, d, distance, kSightBlock_vox * rule.voxel_size);
+    return !is_blocked(cells, rule.box, {start.x, start.y, start.z}, d, distance);
 }
 
 VDBCARVE_HD Rgb texel(const ColorView& view, int x, int y) {
@@ -239,8 +233,7 @@ VDBCARVE_HD int kept_candidates(const ColorRule& rule) { return rule.best ? 1 : 
 
 /// Adds the views first <= i < last (views[0] is view `first`) to a point's candidates: afterwards `found` holds the weightiest
 /// that see it, in order, whatever the batches were. Lines of sight are followed in order of weight, only while they can matter.
-template <class Accessor>
-VDBCARVE_HD int find_views(const Accessor& grid, const ColorView* views, int first, int last, const ColorRule& rule, const SurfacePoint& p, Candidate* found, int count) {
+VDBCARVE_HD int find_views(SightCells& cells, const ColorView* views, int first, int last, const ColorRule& rule, const SurfacePoint& p, Candidate* found, int count) {
     if (p.nx == 0.f && p.ny == 0.f && p.nz == 0.f) return count;
     if (rule.skip_upright) {
         const float upright = std::fabs(p.nx * rule.up.x + p.ny * rule.up.y + p.nz * rule.up.z);
@@ -270,7 +263,7 @@ VDBCARVE_HD int find_views(const Accessor& grid, const ColorView* views, int fir
         for (int c = 0; c < n; ++c) {
             if (count == keep && !comes_before(weights[c], numbers[c], found[keep - 1].weight, found[keep - 1].view)) return count;
             const ColorView& view = views[numbers[c] - first];
-            if (rule.test_occlusion && !is_visible(grid, view, p, rule)) continue;
+            if (rule.test_occlusion && !is_visible(cells, view, p, rule)) continue;
             const Rgb seen = sample_photo(view, sight_of(view, p, rule.best));
             int at = count < keep ? count++ : keep - 1;
             for (; at > 0 && comes_before(weights[c], numbers[c], found[at - 1].weight, found[at - 1].view); --at) found[at] = found[at - 1];
@@ -293,8 +286,6 @@ inline constexpr int kBlended = 3;
 inline constexpr float kOutlierMads = 3.f * 1.4826f;  ///< a normal distribution's deviation is 1.4826 MAD
 inline constexpr float kLeastOutlier = 0.02f;         ///< share of the median that is never an outlier
 inline constexpr float kWidestBlendCosine = 0.76604444f;  ///< 40 degrees between the views' lines of sight
-
-VDBCARVE_HD float luminance(const Rgb& c) { return 0.2126f * c.r + 0.7152f * c.g + 0.0722f * c.b; }
 
 /// Where half the weight is below; `values` is sorted along the way. At most kCandidates.
 VDBCARVE_HD float weighted_median(float* values, float* weights, int n) {
@@ -352,19 +343,12 @@ VDBCARVE_HD PointColor decide_color(const ColorView* views, const ColorRule& rul
     return out;
 }
 
-/// What a view shows of a point, for comparing exposures: weight 0 where nothing can be compared.
-struct Observation {
-    Rgb color;  ///< no gain applied
-    float weight;
-};
-
 inline constexpr float kDarkest = 0.002f, kBrightest = 0.9f;  ///< linear light beyond which a sensor's answer bends
 
-template <class Accessor>
-VDBCARVE_HD Observation observe(const Accessor& grid, const ColorView& view, const SurfacePoint& p, const ColorRule& rule) {
+VDBCARVE_HD Observation observe(SightCells& cells, const ColorView& view, const SurfacePoint& p, const ColorRule& rule) {
     const Observation none{{0.f, 0.f, 0.f}, 0.f};
     const Sight sight = sight_of(view, p, 0);
-    if (!(sight.weight > 0.f) || !is_visible(grid, view, p, rule)) return none;
+    if (!(sight.weight > 0.f) || !is_visible(cells, view, p, rule)) return none;
     const Rgb c = sample_photo(view, sight);
     const float low = min_f(c.r, min_f(c.g, c.b)), high = max_f(c.r, max_f(c.g, c.b));
     if (low < kDarkest || high > kBrightest) return none;

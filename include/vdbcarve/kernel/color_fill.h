@@ -38,9 +38,17 @@ VDBCARVE_HD uint64_t morton_of_voxel(int i, int j, int k) {
     return morton_key(static_cast<uint32_t>(i + kMortonBias), static_cast<uint32_t>(j + kMortonBias), static_cast<uint32_t>(k + kMortonBias));
 }
 
-/// Where a key stands among sorted ones, or -1.
-VDBCARVE_HD int32_t find_key(const uint64_t* keys, int32_t count, uint64_t key) {
-    int32_t low = 0, high = count;
+/// Where a key stands among sorted ones, or -1; near the place `hint` first, where neighbours in space mostly are.
+VDBCARVE_HD int32_t find_key(const uint64_t* keys, int32_t count, uint64_t key, int32_t hint) {
+    constexpr int32_t kNear = 48;
+    int32_t low = hint - kNear < 0 ? 0 : hint - kNear, high = hint + kNear > count ? count : hint + kNear;
+    if (key < keys[low]) {
+        high = low;
+        low = 0;
+    } else if (key > keys[high - 1]) {
+        low = high;
+        high = count;
+    }
     while (low < high) {
         const int32_t middle = low + (high - low) / 2;
         if (keys[middle] < key) low = middle + 1;
@@ -53,13 +61,14 @@ inline constexpr int kFillNeighbours = 26;
 inline constexpr int kFillSweeps = 24;   ///< on every level
 inline constexpr float kFillDamping = 0.85f;
 
-/// The n-th neighbouring cell's number, or -1. `key` is of the cell.
-VDBCARVE_HD int32_t fill_neighbour(const uint64_t* keys, int32_t count, uint64_t key, int n) {
+/// The n-th neighbouring cell's number, or -1.
+VDBCARVE_HD int32_t fill_neighbour(const uint64_t* keys, int32_t count, int32_t cell, int n) {
+    const uint64_t key = keys[cell];
     const int at = n < 13 ? n : n + 1;  // 13 is the cell itself
     const int64_t x = static_cast<int64_t>(gather_bits(key >> 2)) + at / 9 - 1, y = static_cast<int64_t>(gather_bits(key >> 1)) + at / 3 % 3 - 1,
                   z = static_cast<int64_t>(gather_bits(key)) + at % 3 - 1;
     if (x < 0 || y < 0 || z < 0) return -1;
-    return find_key(keys, count, morton_key(static_cast<uint32_t>(x), static_cast<uint32_t>(y), static_cast<uint32_t>(z)));
+    return find_key(keys, count, morton_key(static_cast<uint32_t>(x), static_cast<uint32_t>(y), static_cast<uint32_t>(z)), cell);
 }
 
 /// 1 / squared distance to the n-th neighbour.
@@ -79,18 +88,21 @@ VDBCARVE_HD bool parent_color(const Rgb* colors, const uint8_t* known, int32_t f
     return true;
 }
 
-/// One sweep's new colour of a cell. neighbours[n] as of fill_neighbour.
-VDBCARVE_HD Rgb relaxed(const Rgb& own, const Rgb* colors, const int32_t* neighbours, int64_t stride) {
-    Rgb sum{0.f, 0.f, 0.f};
-    float weight = 0.f;
-    for (int n = 0; n < kFillNeighbours; ++n) {
-        const int32_t at = neighbours[n * stride];
-        if (at < 0) continue;
+/// One sweep's new colour of a cell, from its neighbours in order.
+class Relaxation {
+  public:
+    VDBCARVE_HD explicit Relaxation(const Rgb& own) : own_(own) {}
+    /// The n-th neighbour, as of fill_neighbour.
+    VDBCARVE_HD void add(const Rgb& color, int n) {
         const float w = fill_weight(n);
-        sum = plus(sum, w, minus(colors[at], own));
-        weight += w;
+        sum_ = plus(sum_, w, minus(color, own_));
+        weight_ += w;
     }
-    return weight > 0.f ? plus(own, kFillDamping / weight, sum) : own;
-}
+    VDBCARVE_HD Rgb value() const { return weight_ > 0.f ? plus(own_, kFillDamping / weight_, sum_) : own_; }
+
+  private:
+    Rgb own_, sum_{0.f, 0.f, 0.f};
+    float weight_ = 0.f;
+};
 
 }  // namespace vdbcarve::kernel
