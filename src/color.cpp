@@ -104,7 +104,7 @@ std::vector<SurfacePoint> points_of(const Volume& volume, const std::vector<uint
 class Colorist {
   public:
     Colorist(const openvdb::FloatGrid& surface, const Volume& volume, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress)
-        : inputs_(inputs), source_(photos), options_(options), progress_(progress), rule_(color_rule(options, block_box(surface))), sight_(volume.sight()),
+        : inputs_(inputs), source_(photos), options_(options), progress_(progress), rule_(color_rule(options, leaf_box(surface))), sight_(volume.sight()),
           batch_(options.batch ? std::min(options.batch, inputs.size()) : inputs.size()) {
         for (const ColorInput& input : inputs) views_.push_back(make_color_view(input, surface.transform(), {1, 1, 1}));
     }

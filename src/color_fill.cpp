@@ -2,7 +2,7 @@
 #include <tbb/parallel_for.h>
 #include <tbb/parallel_sort.h>
 
-#include <numeric>
+#include <algorithm>
 
 #include "color_plan.h"
 #include "vdbcarve/kernel/color_fill.h"
@@ -93,26 +93,26 @@ void relax(Level& level, const Level& coarse) {
 }  // namespace
 
 void fill_colors(const std::vector<uint64_t>& keys, const std::vector<uint8_t>& known, std::vector<Rgb>& colors) {
-    std::vector<uint32_t> order(keys.size());
-    std::iota(order.begin(), order.end(), 0u);
-    tbb::parallel_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return keys[a] < keys[b]; });
     std::vector<Level> levels(1);
+    levels[0].unknown = static_cast<size_t>(std::count(known.begin(), known.end(), uint8_t{0}));
+    if (levels[0].unknown == 0 || levels[0].unknown == keys.size()) return;
+    std::vector<std::pair<uint64_t, uint32_t>> order(keys.size());
+    for_all(keys.size(), [&](size_t n) { order[n] = {keys[n], static_cast<uint32_t>(n)}; });
+    tbb::parallel_sort(order.begin(), order.end());
     levels[0].keys.resize(keys.size());
     levels[0].colors.resize(keys.size());
     levels[0].known.resize(keys.size());
     for_all(keys.size(), [&](size_t n) {
-        levels[0].keys[n] = keys[order[n]];
-        levels[0].colors[n] = colors[order[n]];
-        levels[0].known[n] = known[order[n]];
+        levels[0].keys[n] = order[n].first;
+        levels[0].colors[n] = colors[order[n].second];
+        levels[0].known[n] = known[order[n].second];
     });
-    levels[0].unknown = static_cast<size_t>(std::count(known.begin(), known.end(), uint8_t{0}));
-    if (levels[0].unknown == 0 || levels[0].unknown == keys.size()) return;
     while (levels.back().unknown) {
         Level next = coarser(levels.back());
         levels.push_back(std::move(next));
     }
     for (size_t l = levels.size() - 1; l-- > 0;) relax(levels[l], levels[l + 1]);
-    for_all(keys.size(), [&](size_t n) { colors[order[n]] = levels[0].colors[n]; });
+    for_all(keys.size(), [&](size_t n) { colors[order[n].second] = levels[0].colors[n]; });
 }
 
 }  // namespace vdbcarve

@@ -109,7 +109,7 @@ kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::
     return v;
 }
 
-kernel::ColorRule color_rule(const ColorOptions& o, const openvdb::CoordBBox& blocks) {
+kernel::ColorRule color_rule(const ColorOptions& o, const openvdb::CoordBBox& leaves) {
     kernel::ColorRule rule{};
     rule.best = o.mode == ColorMode::Best;
     rule.test_occlusion = o.test_occlusion;
@@ -117,19 +117,15 @@ kernel::ColorRule color_rule(const ColorOptions& o, const openvdb::CoordBBox& bl
     rule.up = {static_cast<float>(o.up.x()), static_cast<float>(o.up.y()), static_cast<float>(o.up.z())};
     // Wide enough that no line of sight begins outside.
     for (int a = 0; a < 3; ++a) {
-        rule.box.lo[a] = static_cast<float>(blocks.min()[a] - 16);
-        rule.box.hi[a] = static_cast<float>(blocks.max()[a] + 17);
+        rule.box.lo[a] = static_cast<float>(leaves.min()[a] - 4);
+        rule.box.hi[a] = static_cast<float>(leaves.max()[a] + 5);
     }
     return rule;
 }
 
-openvdb::CoordBBox block_box(const openvdb::FloatGrid& surface) {
+openvdb::CoordBBox leaf_box(const openvdb::FloatGrid& surface) {
     openvdb::CoordBBox box;
     for (auto leaf = surface.tree().cbeginLeaf(); leaf; ++leaf) box.expand(leaf->origin(), 8);
-    for (int a = 0; a < 3; ++a) {
-        box.min()[a] &= ~127;
-        box.max()[a] |= 127;
-    }
     return box;
 }
 
@@ -224,7 +220,7 @@ void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const 
 void explain_unseen(const std::vector<ColorInput>& inputs) {
     size_t used = 0;
     for (const ColorInput& i : inputs) used += i.use;
-    throw ContradictionError("color: none of the " + std::to_string(used) + " photographs sees the surface from at least 12 degrees above it, 3 px inside its mask. Remedy: check cameras and masks, or --color none");
+    throw ContradictionError("color: none of the " + std::to_string(used) + " photographs sees the surface from at least 6 degrees above it, 3 px inside its mask. Remedy: check cameras and masks, or --color none");
 }
 
 }  // namespace vdbcarve

@@ -38,12 +38,12 @@ kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::
 /// Throws InputError where the photograph does not fit its camera.
 void check_photo(const ColorInput& input, const PhotoView& photo);
 
-kernel::ColorRule color_rule(const ColorOptions& options, const openvdb::CoordBBox& blocks);
+kernel::ColorRule color_rule(const ColorOptions& options, const openvdb::CoordBBox& leaves);
 /// Voxels nearer to the surface than this stand in the way; world units.
 inline float sight_threshold(const openvdb::FloatGrid& surface) { return kernel::kSightBlock_vox * static_cast<float>(surface.voxelSize()[0]); }
 
-/// The blocks of 128^3 voxels that hold the surface's leaves.
-openvdb::CoordBBox block_box(const openvdb::FloatGrid& surface);
+/// What holds the surface's leaves.
+openvdb::CoordBBox leaf_box(const openvdb::FloatGrid& surface);
 
 /// About kExposurePlaces voxels of the contour, spread evenly.
 inline constexpr size_t kExposurePlaces = 8192;

@@ -39,7 +39,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     p.use();
     check_color(surface, inputs, options);
     const Parts::Volume& volume = p.need(p.surface, "level set");
-    const kernel::ColorRule rule = color_rule(options, block_box(surface));
+    const kernel::ColorRule rule = color_rule(options, leaf_box(surface));
     const size_t batch = options.batch ? std::min(options.batch, inputs.size()) : inputs.size();
     ColorResult out;
     out.backend_used = "cuda";

@@ -744,11 +744,18 @@ class Job {
 
     // --------------------------------------------------------------------------------------- colour
 
-    /// Photographs that are silhouettes themselves have no colour to give.
+    /// Photographs that are silhouettes themselves, or copies of them, have no colour to give.
     bool photos_are_masks() const {
-        for (size_t i : used_)
-            if (masks_.origins[i].rfind(views_.views[i].image_path.string() + " (", 0) != 0) return false;
-        return true;
+        const bool own = std::all_of(used_.begin(), used_.end(), [&](size_t i) { return masks_.origins[i].rfind(views_.views[i].image_path.string() + " (", 0) == 0; });
+        if (own) return true;
+        const View& first = views_.views[used_.front()];
+        if (first.image_path.empty() || first.lens.distorts()) return false;
+        try {
+            const Image8 photo = io::read_image8(first.image_path);
+            return photo.channels == 1 && photo.data == masks_.masks[used_.front()].coverage.data;
+        } catch (const InputError&) {
+            return false;
+        }
     }
 
     std::vector<ColorInput> color_inputs() {
@@ -798,8 +805,9 @@ class Job {
         }
         const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
         const double room = limit - static_cast<double>(resident_memory_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kColorPerLeaf;
-        options.batch = static_cast<size_t>(std::clamp(room / largest, 1.0, static_cast<double>(used_.size())));
-        if (options.batch < used_.size()) progress_.note("photographs of " + std::to_string(options.batch) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) + " GB");
+        const double wanted = o_.color.batch ? static_cast<double>(o_.color.batch) : static_cast<double>(used_.size());
+        options.batch = static_cast<size_t>(std::clamp(room / largest, 1.0, wanted));
+        if (static_cast<double>(options.batch) < wanted) progress_.note("photographs of " + std::to_string(options.batch) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) + " GB");
         return options;
     }
 
@@ -852,7 +860,7 @@ class Job {
         for (size_t u = 0; u < inputs.size(); ++u)
             color_views_[inputs[u].name] = {{"color_used", inputs[u].use && !missing_photos_.count(inputs[u].name)}, {"exposure_gain", result.exposure.gains[u]}, {"first_choice_share", of_surface(s.voxels_of_view[u])}};
         if (of_surface(s.synthesised) > 0.25)
-            progress_.warn(std::to_string(std::lround(100 * of_surface(s.synthesised))) + " % of the surface is seen by no photograph (12 degrees or more above it, 3 px inside its mask): its colour is made up from around it");
+            progress_.warn(std::to_string(std::lround(100 * of_surface(s.synthesised))) + " % of the surface is seen by no photograph (6 degrees or more above it, 3 px inside its mask): its colour is made up from around it");
         write_vdb(file, {color_, views_grid_, confidence_grid_}, metadata());
         const std::vector<std::string> all = progress_.warnings();
         write_file(note_file, json{{"color", report_["color"]}, {"views", color_views_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}}.dump(1) + "\n");

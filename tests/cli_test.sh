@@ -101,6 +101,24 @@ check 'nothing is written before everything is checked' test ! -e first.vdb
 expect 2 'input itself' export volume.nvdb -o volume.nvdb
 expect 3 'holds no volume' export scene -o there.nvdb
 expect 2 '--paper' bench --paper --grid 64x32x64
+check 'the mesh has colours' grep -aq 'property uchar red' out/mesh.ply
+expect 0 'CIEDE2000' evaluate out --truth scene/truth.ply --samples 2000
+expect 0 'PSNR' evaluate out --photos scene --save pictures
+check 'photograph and rendering lie side by side' test -s pictures/0005.png
+expect 0 '"psnr_db"' --json - evaluate out --photos scene
+expect 2 '--truth, --photos' evaluate out
+expect 0 'closed manifold' reconstruct scene -o plain --resolution 40 --color none
+check 'no colour where none is wanted' test "$(grep -ac 'property uchar red' plain/mesh.ply)" -eq 0
+expect 3 'no vertex colours' evaluate plain --photos scene
+expect 0 'closed manifold' reconstruct scene -o best --resolution 40 --color best --paper --color-occlusion off --exposure none --color-source images --color-depth 5 --color-leave-out 3 --color-grids views,confidence --dcc houdini
+expect 0 'Cd' info best/volume.vdb
+expect 0 'confidence' info best
+expect 0 'left out of colour' evaluate best --photos scene
+expect 2 '--color best' reconstruct scene -o bad --resolution 40 --paper
+expect 2 'color' reconstruct scene -o bad --color rainbow
+expect 2 'at least 2' reconstruct scene -o bad --resolution 40 --color-leave-out 1
+expect 0 '6 views' synth pair -o pair --views 6 --width 96 --height 72 --exposure-jitter 0.2 --flat
+expect 0 'color' reconstruct pair -o paired --resolution 40 --exposure channels
 expect 0 '\| 6 \|' bench scene --grid 32x32x32 --runs 1 --backend cpu
 expect 0 'MB freed' clean out
 expect 3 'not made by vdbcarve' clean scene
@@ -123,6 +141,7 @@ if "$program" bench --no-cpu --grid 32x32x32 --views 4 --runs 1 >/dev/null 2>&1;
   check 'the GPU gives the same mesh' cmp -s out/mesh.ply gpu/mesh.ply
   check 'the GPU gives the same volume' cmp -s out/volume.vdb gpu/volume.vdb
   check 'the report names the backend' grep -q '"backend": "cuda"' gpu/report.json
+  check 'colour was made on the GPU' grep -q '"color"' <(grep -B4 '"backend": "cuda"' gpu/report.json; grep -A4 '"backend": "cuda"' gpu/report.json)
   expect 7 '--device 99' reconstruct scene -o bad --backend cuda --device 99
 else
   expect 7 'without CUDA|no CUDA device.*Remedy: --backend cpu' reconstruct scene -o bad --backend cuda

@@ -81,7 +81,7 @@ TEST(Sight, BlockedAgreesWithSmallStepsOnNoise) {
         for (uint32_t at = 0; at < 64; ++at) walls[n] |= static_cast<uint64_t>(nano->tree().getFirstNode<0>()[n / 8].getValue(static_cast<uint32_t>(n % 8) * 64 + at) < 0.5f) << at;
     const kernel::SightGrid sight{nano, walls.data(), 0.5f};
     kernel::SightCells cells(sight);
-    const kernel::ColorRule rule = color_rule({}, block_box(*grid));
+    const kernel::ColorRule rule = color_rule({}, leaf_box(*grid));
     int blocked = 0, compared = 0;
     for (int n = 0; n < 1000; ++n) {
         const Vec3d from(uniform(-330, 330), uniform(-330, 330), uniform(-330, 330));
@@ -130,7 +130,7 @@ TEST(Sight, AnswersDoNotDependOnWhatWasAskedBefore) {
     for (size_t n = 0; n < walls.size(); ++n)
         for (uint32_t at = 0; at < 64; ++at) walls[n] |= static_cast<uint64_t>(nano->tree().getFirstNode<0>()[n / 8].getValue(static_cast<uint32_t>(n % 8) * 64 + at) < threshold) << at;
     const kernel::SightGrid sight{nano, walls.data(), threshold};
-    const kernel::ColorRule rule = color_rule({}, block_box(*s.surface));
+    const kernel::ColorRule rule = color_rule({}, leaf_box(*s.surface));
     kernel::SightCells kept(sight);
     size_t blocked = 0, asked = 0;
     for (auto it = s.surface->cbeginValueOn(); it; ++it) {
@@ -494,19 +494,51 @@ TEST(Color, HiddenSurfacesDoNotTakeTheColourOfWhatStandsInFront) {
     }
 }
 
-TEST(Color, ATexturedObjectComesBack) {
-    SyntheticSpec spec = photo_spec("cup", 24, 640, 480);
-    spec.look.exposure_jitter = 0.2;
-    const ColorScene s = color_scene(spec, 128);
+// At the size of a real shoot: of what cameras truly see 3 px inside their masks 98 % is coloured, and rightly. The turntable's lamp does not turn along: there the
+// truth is the mean over the cameras in front, and blending gets nearer to it than any one view.
+struct QualityCase {
+    const char* name;
+    const char* object;
+    double gloss, jitter;
+    Rig::Motion motion;
+    double median, p95;
+};
+
+void PrintTo(const QualityCase& c, std::ostream* out) { *out << c.name; }
+
+class ColorQuality : public testing::TestWithParam<QualityCase> {};
+
+TEST_P(ColorQuality, IsTheObjects) {
+    const QualityCase& c = GetParam();
+    SyntheticSpec spec = photo_spec(c.object, 36, 1024, 768);
+    spec.look.gloss = c.gloss;
+    spec.look.exposure_jitter = c.jitter;
+    spec.rig.motion = c.motion;
+    const ColorScene s = color_scene(spec, 192);
     Progress quiet;
-    const ColorResult r = color(*s.surface, s.inputs, {}, quiet);
-    const ColorVerdict v = judge(s, r);
-    RecordProperty("verdict", std::to_string(v.share()) + " " + std::to_string(v.median) + " " + std::to_string(v.p95));
-    EXPECT_GT(v.share(), 0.9);
-    double mean = 0;
-    for (const double e : s.scene.exposures) mean += std::log(e) / static_cast<double>(s.scene.exposures.size());
-    for (size_t i = 0; i < s.scene.exposures.size(); ++i) EXPECT_NEAR(r.exposure.gains[i][0] * s.scene.exposures[i] / std::exp(mean), 1, 0.02) << i;
+    for (const ColorMode mode : {ColorMode::Best, ColorMode::Blend}) {
+        ColorOptions options;
+        options.mode = mode;
+        const ColorResult r = color(*s.surface, s.inputs, options, quiet);
+        const ColorVerdict v = judge(s, r);
+        std::printf("%s\n", line_of(std::string(c.name) + (mode == ColorMode::Best ? ", best" : ", blend"), v, r).c_str());
+        EXPECT_GE(v.inside_share(), 0.98);
+        EXPECT_GE(v.share(), 0.96);
+        EXPECT_LT(v.median, c.median);
+        EXPECT_LT(v.p95, c.p95);
+        EXPECT_LT(v.wrong, 0.005);
+        if (c.motion == Rig::Motion::Turntable) continue;
+        double mean = 0;
+        for (const double e : s.scene.exposures) mean += std::log(e) / static_cast<double>(s.scene.exposures.size());
+        for (size_t i = 0; i < s.scene.exposures.size(); ++i) EXPECT_NEAR(r.exposure.gains[i][0] * s.scene.exposures[i] / std::exp(mean), 1, 0.02) << i;
+    }
 }
+
+INSTANTIATE_TEST_SUITE_P(Shoots, ColorQuality,
+                         testing::Values(QualityCase{"cup", "cup", 0, 0, Rig::Motion::Camera, 2, 8}, QualityCase{"cup_exposures", "cup", 0, 0.2, Rig::Motion::Camera, 2, 8},
+                                         QualityCase{"pair", "pair", 0, 0, Rig::Motion::Camera, 2, 8}, QualityCase{"cup_gloss", "cup", 0.6, 0, Rig::Motion::Camera, 2, 8},
+                                         QualityCase{"cup_turntable", "cup", 0, 0, Rig::Motion::Turntable, 4, 12}, QualityCase{"cup_turntable_gloss", "cup", 0.6, 0, Rig::Motion::Turntable, 4, 12}),
+                         [](const auto& instance) { return instance.param.name; });
 
 // The paper's least: two photographs at a right angle, four around.
 TEST(Color, TwoPerpendicularPhotographsAndFour) {

@@ -7,6 +7,8 @@
 #include "io_image.h"
 #include "support/scenes.h"
 #include "vdbcarve/carve.h"
+#include "vdbcarve/color_space.h"
+#include "vdbcarve/evaluate.h"
 #include "vdbcarve/export.h"
 
 namespace vdbcarve::test {
@@ -19,9 +21,9 @@ struct Job {
     TemporaryFolder folder;
     ReconstructOptions options;
 
-    explicit Job(const char* object = "ellipsoids") {
+    explicit Job(const char* object = "ellipsoids", bool photos = false) {
         SyntheticSpec spec = small_spec(object, 8, 160, 120);
-        spec.photos = false;
+        spec.photos = photos;
         Progress quiet;
         write_scene(synthesize(spec, quiet), folder / "scene");
         options.views.scene = folder / "scene";
@@ -216,6 +218,131 @@ TEST(Pipeline, OccupancyAndDryRun) {
     plan.options.dry_run = false;
     const json done = plan.run();
     EXPECT_NEAR(p["grid"]["expected_leaves"].get<double>(), done["grid"]["leaves"].get<double>(), 0.1 * done["grid"]["leaves"].get<double>());
+}
+
+TEST(Pipeline, ColoursReachVolumeMeshAndReport) {
+    Job job("ellipsoids", true);
+    job.options.dcc = "houdini";
+    job.options.views_grid = job.options.confidence_grid = true;
+    job.options.color_leave_out = 4;
+    const json r = job.run();
+    std::set<std::string> names;
+    openvdb::Vec3SGrid::Ptr color;
+    for (const auto& grid : read_vdb(job.folder / "out/volume.vdb")) {
+        names.insert(grid->getName());
+        if (grid->getName() == "Cd") color = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
+    }
+    EXPECT_EQ(names, (std::set<std::string>{"surface", "density", "Cd", "views", "confidence"}));
+    ASSERT_TRUE(color);
+    // PLY and OBJ say the same, and what the volume says at the vertices, to their precision.
+    const Mesh ply = read_mesh(job.folder / "out/mesh.ply"), obj = read_mesh(job.folder / "out/mesh.obj");
+    ASSERT_EQ(ply.colors.size(), ply.vertices.size());
+    ASSERT_EQ(obj.colors.size(), obj.vertices.size());
+    Mesh sampled = ply;
+    EXPECT_EQ(color_vertices(sampled, *color), 0u);
+    std::set<uint8_t> shades;
+    for (size_t v = 0; v < ply.colors.size(); ++v)
+        for (size_t c = 0; c < 3; ++c) {
+            const uint8_t expected = srgb8_from_linear(sampled.colors[v][c]);
+            ASSERT_EQ(srgb8_from_linear(ply.colors[v][c]), expected);
+            ASSERT_EQ(srgb8_from_linear(obj.colors[v][c]), expected);
+            shades.insert(expected);
+        }
+    EXPECT_GT(shades.size(), 30u);
+    EXPECT_GT(r["color"]["seen_share"], 0.5);
+    size_t left_out = 0;
+    for (const json& v : r["views"]) {
+        left_out += !v["color_used"].get<bool>();
+        EXPECT_EQ(v["exposure_gain"].size(), 3u);
+    }
+    EXPECT_EQ(left_out, 2u);
+    EXPECT_TRUE(read_mesh(job.folder / "out/mesh.stl").colors.empty());
+
+    // Again: nothing to do. Another mode: from colour on. None: no colour anywhere.
+    EXPECT_TRUE(Job::reused(job.run(), "color"));
+    const std::string before = job.bytes("mesh.ply");
+    job.options.color.mode = ColorMode::Best;
+    const json best = job.run();
+    EXPECT_TRUE(Job::reused(best, "level_set"));
+    EXPECT_FALSE(Job::reused(best, "color"));
+    EXPECT_FALSE(Job::reused(best, "mesh"));
+    EXPECT_NE(job.bytes("mesh.ply"), before);
+    job.options.color.mode = ColorMode::Blend;
+    EXPECT_TRUE(Job::reused(job.run(), "mesh"));
+    EXPECT_EQ(job.bytes("mesh.ply"), before);
+    job.options.color_from_photos = true;
+    job.run();
+    EXPECT_EQ(read_mesh(job.folder / "out/mesh.ply").colors.size(), ply.vertices.size());
+    job.options.color.mode = ColorMode::None;
+    job.run();
+    EXPECT_TRUE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
+}
+
+TEST(Pipeline, ColoursUnderAMemoryLimitAreTheSame) {
+    Job job("torus", true);
+    job.run();
+    const std::string volume = job.bytes("volume.vdb"), mesh = job.bytes("mesh.ply");
+    fs::remove_all(job.folder / "out");
+    // So little that photographs come one by one, and yet enough for the rest, whatever the test has allocated before.
+    job.options.memory_limit = 0;
+    job.options.color.batch = 1;
+    job.run();
+    EXPECT_EQ(job.bytes("volume.vdb"), volume);
+    EXPECT_EQ(job.bytes("mesh.ply"), mesh);
+}
+
+TEST(Pipeline, APhotographThatCannotBeReadGivesNoColourAndIsNamed) {
+    Job job("ellipsoids", true);
+    write_text(job.folder / "scene/images/0003.png", read_text(job.folder / "scene/images/0003.png").substr(0, 100));
+    const json r = job.run();
+    bool named = false;
+    for (const json& w : r["warnings"]) named |= w.get<std::string>().find("0003.png") != std::string::npos;
+    EXPECT_TRUE(named) << r["warnings"];
+    EXPECT_EQ(r["views"][3]["color_used"], false);
+    EXPECT_EQ(r["views"][2]["color_used"], true);
+    EXPECT_FALSE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
+}
+
+TEST(Pipeline, RenderingsAreComparedWithPhotographs) {
+    Job job("ellipsoids", true);
+    job.options.color_leave_out = 4;
+    job.options.resolution = 96;
+    job.run();
+    Progress quiet;
+    ViewsOptions o;
+    o.scene = job.folder / "scene";
+    const Views views = load_views(o, quiet);
+    const Mesh mesh = read_mesh(job.folder / "out/mesh.ply");
+    const auto mean = [&](bool from_volume, bool used) {
+        double sum = 0;
+        int count = 0;
+        for (const PhotoComparison& c : compare_photos(mesh, views, {job.folder / "out", from_volume, job.folder / "pictures"}, quiet))
+            if (c.used == used) {
+                sum += c.agreement.psnr_db;
+                ++count;
+                EXPECT_GT(c.agreement.pixels, 500u);
+                EXPECT_GT(c.agreement.ssim, 0.5);
+            }
+        EXPECT_EQ(count, used ? 6 : 2);
+        return sum / count;
+    };
+    EXPECT_GT(mean(false, true), 24);
+    EXPECT_GT(mean(false, false), 20);
+    EXPECT_NEAR(mean(true, true), mean(false, true), 1.5);
+    EXPECT_EQ(std::distance(fs::directory_iterator(job.folder / "pictures"), {}), 8);
+    // A picture against itself, and against itself made darker.
+    const Photo photo = load_photo(views.views[0]);
+    Image8 same(160, 120, 4, 255);
+    for (int y = 0; y < 120; ++y)
+        for (int x = 0; x < 160; ++x)
+            for (int c = 0; c < 3; ++c) same.at(x, y, c) = photo.pixels8.at(x, y, c);
+    const PhotoAgreement exact = compare_photo(same, view_of(photo), {});
+    EXPECT_TRUE(std::isinf(exact.psnr_db));
+    EXPECT_NEAR(exact.ssim, 1, 1e-9);
+    Image8 darker = same;
+    for (size_t n = 0; n < darker.data.size(); ++n)
+        if (n % 4 != 3) darker.data[n] = static_cast<uint8_t>(std::max(0, darker.data[n] - 10));
+    EXPECT_NEAR(compare_photo(darker, view_of(photo), {}).psnr_db, 20 * std::log10(25.5), 0.1);
 }
 
 TEST(Synthetic, SameSeedSameSceneOtherSeedAnother) {

@@ -28,6 +28,8 @@ ColorVerdict judge(const ColorScene& s, const ColorResult& result) {
     }
     const TriangleTree truth(s.scene.truth);
     const std::vector<TrueColor> expected = surface_colors(s.spec, places);
+    std::vector<ImageF> edges;  // signed distance to the true masks
+    for (const Mask& m : s.scene.masks) edges.push_back(signed_distance(m.coverage, 8));
     std::vector<double> errors(places.size(), -1);
     std::vector<char> visible(places.size(), 0);
     tbb::parallel_for(size_t{0}, places.size(), [&](size_t n) {
@@ -40,7 +42,10 @@ ColorVerdict judge(const ColorScene& s, const ColorResult& result) {
             if (!input.use || !pixel || pixel->x() < 1 || pixel->y() < 1 || pixel->x() > camera.intrinsics.width_px - 1 || pixel->y() > camera.intrinsics.height_px - 1) continue;
             const Vec3d way = camera.intrinsics.orthographic ? Vec3d(-camera.forward_world()) : Vec3d(camera.centre_world() - at);
             if (way.normalized().dot(normal) < 0.2 || truth.hit({at, way.normalized()})) continue;
-            visible[n] = 1;
+            visible[n] |= 1;
+            const size_t view = static_cast<size_t>(&input - s.inputs.data());
+            if (edges[view].at(static_cast<int>(pixel->x()), static_cast<int>(pixel->y())) > -3.f) continue;
+            visible[n] = 3;
             break;
         }
         if (!visible[n] || !direct[n]) return;
@@ -50,9 +55,11 @@ ColorVerdict judge(const ColorScene& s, const ColorResult& result) {
     ColorVerdict out;
     std::vector<double> measured;
     for (size_t n = 0; n < places.size(); ++n) {
-        out.visible += static_cast<size_t>(visible[n]);
+        out.visible += visible[n] != 0;
+        out.inside += visible[n] == 3;
         if (errors[n] < 0) continue;
         ++out.colored;
+        out.inside_colored += visible[n] == 3;
         measured.push_back(errors[n]);
         out.wrong += errors[n] > 20;
     }
@@ -60,6 +67,13 @@ ColorVerdict judge(const ColorScene& s, const ColorResult& result) {
     out.p95 = percentile(measured, 0.95);
     if (!measured.empty()) out.wrong /= static_cast<double>(measured.size());
     return out;
+}
+
+std::string line_of(const std::string& name, const ColorVerdict& v, const ColorResult& r) {
+    char text[240];
+    std::snprintf(text, sizeof text, "| %s | %.2f %% | %.2f %% of %zu | %.2f | %.2f | %.3f %% | %.4f -> %.4f | %.1f %% |", name.c_str(), 100 * v.inside_share(), 100 * v.share(), v.visible, v.median, v.p95, 100 * v.wrong, r.exposure.disagreement_before,
+                  r.exposure.disagreement, 100.0 * static_cast<double>(r.statistics.synthesised) / static_cast<double>(r.statistics.surface_voxels));
+    return text;
 }
 
 }  // namespace vdbcarve::test

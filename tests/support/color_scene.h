@@ -47,11 +47,16 @@ inline ColorScene color_scene(const SyntheticSpec& spec, int resolution) {
 
 /// How right colours are where the surface is within a voxel of the truth, and sees a camera.
 struct ColorVerdict {
-    size_t visible = 0, colored = 0;  ///< contour voxels that a camera truly sees, and those of them coloured from a photograph
+    size_t visible = 0, colored = 0;  ///< contour voxels that a camera truly sees (cosine 0.2 or more), and those of them coloured from a photograph
+    size_t inside = 0, inside_colored = 0;  ///< the same of those that a camera sees at least 3 px inside its true mask
     double median = 0, p95 = 0;       ///< CIEDE2000 of those
     double wrong = 0;                 ///< share of those farther off than 20
+    double inside_share() const { return inside ? static_cast<double>(inside_colored) / static_cast<double>(inside) : 0; }
     double share() const { return visible ? static_cast<double>(colored) / static_cast<double>(visible) : 0; }
 };
 ColorVerdict judge(const ColorScene& s, const ColorResult& result);
+
+/// One line for a table.
+std::string line_of(const std::string& name, const ColorVerdict& verdict, const ColorResult& result);
 
 }  // namespace vdbcarve::test

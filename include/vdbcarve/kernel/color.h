@@ -103,7 +103,7 @@ struct ColorView : Projection {
     float gain[3];
 };
 
-inline constexpr float kLeastCosine = 0.2f;      ///< more grazing views are not asked
+inline constexpr float kLeastCosine = 0.1f;      ///< more grazing views are not asked
 inline constexpr float kEdgeMargin_px = 3.f;     ///< nearer to a silhouette's edge, inside it, no sample is taken
 inline constexpr float kFullMargin_px = 10.f;    ///< from here on the edge costs no weight
 inline constexpr int kMarginReach_px = 12;       ///< of the silhouettes' distance fields
@@ -163,11 +163,12 @@ VDBCARVE_HD Sight sight_of(const ColorView& view, const SurfacePoint& p, int bes
     // All texels of the finest sample must be in the picture.
     if (!(at.u >= 0.5f && at.v >= 0.5f && at.u <= view.width - 0.5f && at.v <= view.height - 0.5f)) return out;
     const float pixels = view.orthographic ? view.voxel_px : view.voxel_px / c.z;
-    const int taps = static_cast<int>(pixels + 0.5f);
-    out.taps = taps < 1 ? 1 : (taps > kMaxTaps ? kMaxTaps : taps);
-    // The sample farthest out must keep the margin too.
     const float margin = interpolate(fetch_patch(view.silhouette, at.u, at.v)) * (-1.f / kFieldUnits);
-    if (!(margin >= kEdgeMargin_px + 0.70710678f * static_cast<float>(out.taps - 1))) return out;
+    if (!(margin >= kEdgeMargin_px)) return out;
+    // The sample farthest out must keep the margin too.
+    const int covering = static_cast<int>(pixels + 0.5f), fitting = static_cast<int>((margin - kEdgeMargin_px) * 1.4142135f) + 1;
+    const int taps = covering < fitting ? covering : fitting;
+    out.taps = taps < 1 ? 1 : (taps > kMaxTaps ? kMaxTaps : taps);
     if (best) {
         out.weight = out.cosine;
         return out;
