@@ -58,13 +58,13 @@ __global__ void __launch_bounds__(kLeafVoxels) list_contour(const uint32_t* word
     contour[at] = n * kLeafVoxels + t;
 }
 
-__global__ void make_points(const Nano* grid, const Grid::Leaf* leaves, const uint32_t* contour, uint32_t count, float voxel, NormalRule rule, SurfacePoint* points) {
+__global__ void make_points(const Nano* grid, const Grid::Leaf* leaves, const uint32_t* contour, uint32_t count, float voxel, NormalRule rule, ColorBase base, SurfacePoint* points) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
     const Grid::Leaf& leaf = leaves[contour[n] / kLeafVoxels];
     const int t = static_cast<int>(contour[n] % kLeafVoxels);
     const LeafReader value(grid, leaf);
-    points[n] = surface_point(value, leaf.data()->mValues[t], voxel, value.origin[0] + (t >> 6), value.origin[1] + (t >> 3 & 7), value.origin[2] + (t & 7), rule);
+    points[n] = surface_point(value, leaf.data()->mValues[t], voxel, value.origin[0] + (t >> 6), value.origin[1] + (t >> 3 & 7), value.origin[2] + (t & 7), rule, base);
 }
 
 __global__ void __launch_bounds__(kLeafVoxels) build_walls(const Grid::Leaf* leaves, float threshold, uint32_t* walls) {
@@ -105,12 +105,12 @@ __global__ void decide_points(const SurfacePoint* points, uint32_t count, const 
 
 // ------------------------------------------------------------------------------------ filling
 
-__global__ void make_keys(const Grid::Leaf* leaves, const uint32_t* contour, uint32_t count, uint64_t* keys, uint32_t* numbers) {
+__global__ void make_keys(const Grid::Leaf* leaves, const uint32_t* contour, uint32_t count, ColorBase base, uint64_t* keys, uint32_t* numbers) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
     const nanovdb::Coord o = leaves[contour[n] / kLeafVoxels].origin();
     const int t = static_cast<int>(contour[n] % kLeafVoxels);
-    keys[n] = morton_of_voxel(o[0] + (t >> 6), o[1] + (t >> 3 & 7), o[2] + (t & 7));
+    keys[n] = morton_of_voxel(o[0] + (t >> 6) - base.i, o[1] + (t >> 3 & 7) - base.j, o[2] + (t & 7) - base.k);
     numbers[n] = n;
 }
 
@@ -131,7 +131,7 @@ __global__ void mark_heads(const uint64_t* keys, uint32_t count, int32_t* heads)
     if (n < count) heads[n] = n == 0 || keys[n] >> 3 != keys[n - 1] >> 3;
 }
 
-/// `parents` holds how many heads there are up to each cell; becomes the cell's parent.
+/// `parents` holds how many heads there are up to each cell, itself included: its parent's number and one.
 __global__ void list_parents(const uint64_t* keys, uint32_t count, int32_t* parents, uint64_t* parent_keys, int32_t* first) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
@@ -143,7 +143,6 @@ __global__ void list_parents(const uint64_t* keys, uint32_t count, int32_t* pare
     if (n + 1 == count) first[p + 1] = static_cast<int32_t>(count);
 }
 
-/// Parents of cells are the heads before and with them, less one.
 __global__ void color_parents(const Rgb* colors, const uint8_t* known, const int32_t* first, uint32_t count, Rgb* parent_colors, uint8_t* parent_known, uint32_t* unknown) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
@@ -161,9 +160,9 @@ __global__ void mark_unknown(const uint8_t* known, uint32_t count, uint8_t* flag
 
 /// Unknown cells start from their parent's colour; where their neighbours are.
 __global__ void begin_level(const uint64_t* keys, uint32_t count, const uint32_t* cells, uint32_t cell_count, const int32_t* parents, const Rgb* parent_colors, Rgb* colors, int32_t* neighbours) {
-    const uint32_t at = blockIdx.x * blockDim.x + threadIdx.x;
-    if (at >= cell_count * kFillNeighbours) return;
-    const uint32_t c = at % cell_count, n = at / cell_count;
+    const size_t at = static_cast<size_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+    if (at >= static_cast<size_t>(cell_count) * kFillNeighbours) return;
+    const auto c = static_cast<uint32_t>(at % cell_count), n = static_cast<uint32_t>(at / cell_count);
     const uint32_t cell = cells[c];
     neighbours[at] = fill_neighbour(keys, static_cast<int32_t>(count), static_cast<int32_t>(cell), static_cast<int>(n));
     if (n == 0) colors[cell] = parent_colors[parents[cell] - 1];
@@ -261,7 +260,7 @@ struct ColorStage::Parts {
 ColorStage::ColorStage() : parts_(std::make_unique<Parts>()) {}
 ColorStage::~ColorStage() = default;
 
-uint32_t ColorStage::find_contour(const Grid& surface, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream, StageTimes& times) {
+uint32_t ColorStage::find_contour(const Grid& surface, const ColorBase& base, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream, StageTimes& times) {
     Parts& p = *parts_;
     const uint32_t n = surface.leaf_count();
     const cudaStream_t s = stream.get();
@@ -288,9 +287,9 @@ uint32_t ColorStage::find_contour(const Grid& surface, int normal_radius_vox, co
         uint64_t* walls = p.walls.ensure(static_cast<size_t>(n) * kWallWords);
         build_walls<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), threshold, reinterpret_cast<uint32_t*>(walls));
         VDBCARVE_LAUNCHED();
-        p.sight = {surface.grid(), walls, threshold};
+        p.sight = {surface.grid(), walls, threshold, base};
         make_points<<<blocks_for(p.contour_count, kThreads), kThreads, 0, s>>>(surface.grid(), surface.leaves(), p.contour.data(), p.contour_count, static_cast<float>(surface.spec().voxel_size),
-                                                                               {normal_radius_vox, p.weights.data()}, p.points.ensure(p.contour_count));
+                                                                               {normal_radius_vox, p.weights.data()}, base, p.points.ensure(p.contour_count));
         VDBCARVE_LAUNCHED();
     });
     p.views_found = 0;
@@ -383,7 +382,7 @@ void ColorStage::fill(const Grid& surface, const Stream& stream, StageTimes& tim
         VDBCARVE_CUDA(cub::DeviceScan::InclusiveSum(nullptr, more, base.parent.ensure(n), base.parent.data(), static_cast<int>(n), s));
         scratch = std::max(scratch, more);
         p.scratch_for(scratch);
-        make_keys<<<blocks_for(n, kThreads), kThreads, 0, s>>>(surface.leaves(), p.contour.data(), n, p.unsorted.data(), p.numbers.data());
+        make_keys<<<blocks_for(n, kThreads), kThreads, 0, s>>>(surface.leaves(), p.contour.data(), n, p.sight.base, p.unsorted.data(), p.numbers.data());
         VDBCARVE_LAUNCHED();
         VDBCARVE_CUDA(cub::DeviceRadixSort::SortPairs(p.scratch.data(), scratch, p.unsorted.data(), base.keys.data(), p.numbers.data(), p.order.data(), static_cast<int>(n), 0, 3 * kMortonBits, s));
         gather_cells<<<blocks_for(n, kThreads), kThreads, 0, s>>>(p.order.data(), n, p.colors.data(), p.blended.data(), base.colors.ensure(n), base.known.ensure(n));

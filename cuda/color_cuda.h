@@ -18,7 +18,7 @@ class ColorStage {
     ~ColorStage();
 
     /// The contour's voxels and their points; `weights` as of normal_weights(). Waits for their number, which it returns.
-    uint32_t find_contour(const Grid& surface, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream, StageTimes& times);
+    uint32_t find_contour(const Grid& surface, const kernel::ColorBase& base, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream, StageTimes& times);
 
     /// Tables that texels are looked up in, device memory.
     const float* linear(bool wide, const std::vector<float>& table, const Stream& stream);

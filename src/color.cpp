@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/color.h"
 
-#include <openvdb/tree/LeafManager.h>
 #include <tbb/parallel_for.h>
 
 #include <atomic>
@@ -11,7 +10,6 @@
 #include "color_plan.h"
 #include "leaf_neighbours.h"
 #include "nanovdb_bytes.h"
-#include "same_transform.h"
 #include "vdbcarve/device.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/kernel/color_fill.h"
@@ -28,23 +26,14 @@ using kernel::SurfacePoint;
 using Nano = nanovdb::NanoGrid<float>;
 using NanoAccessor = nanovdb::DefaultReadAccessor<float>;
 
-template <class Work>
-void for_points(size_t count, size_t grain, const Work& work) {
-    tbb::parallel_for(tbb::blocked_range<size_t>(0, count, grain), work);
-}
-
 /// The surface as NanoVDB has it, whose leaves stand in the order of the tree's.
 class Volume {
   public:
-    explicit Volume(const openvdb::FloatGrid& surface) : bytes_(to_nanovdb(surface, false)), grid_(reinterpret_cast<const Nano*>(bytes_.data.get())), threshold_(sight_threshold(surface)) {
-        walls_.resize(leaf_count() * kernel::kWallWords);
-        for_points(leaf_count(), 64, [&](const tbb::blocked_range<size_t>& range) {
-            for (size_t n = range.begin(); n < range.end(); ++n)
-                for (uint32_t at = 0; at < kLeafVoxels; ++at)
-                    walls_[n * kernel::kWallWords + at / 64] |= static_cast<uint64_t>(leaves()[n].getValue(at) < threshold_) << (at & 63);
-        });
+    explicit Volume(const openvdb::FloatGrid& surface) : bytes_(to_nanovdb(surface, false)), grid_(reinterpret_cast<const Nano*>(bytes_.data.get())), base_(color_base(leaf_box(surface))), threshold_(sight_threshold(surface)) {
+        walls_ = sight_walls(*grid_, threshold_);
     }
-    kernel::SightGrid sight() const { return {grid_, walls_.data(), threshold_}; }
+    kernel::SightGrid sight() const { return {grid_, walls_.data(), threshold_, base_}; }
+    const kernel::ColorBase& base() const { return base_; }
     NanoAccessor accessor() const { return grid_->getAccessor(); }
     const nanovdb::NanoLeaf<float>* leaves() const { return grid_->tree().getFirstNode<0>(); }
     size_t leaf_count() const { return grid_->tree().nodeCount(0); }
@@ -52,6 +41,7 @@ class Volume {
   private:
     NanoBuffer bytes_;
     const Nano* grid_;
+    kernel::ColorBase base_;
     float threshold_;
     std::vector<uint64_t> walls_;
 };
@@ -63,9 +53,8 @@ auto reader(const NanoAccessor& accessor) {
 /// The contour's voxels, leaf * 512 + offset, in order.
 std::vector<uint32_t> contour_of(const Volume& volume) {
     const size_t count = volume.leaf_count();
-    if (count > UINT32_MAX / kLeafVoxels) throw InputError("color: more than 2^32 voxels in leaves. Remedy: a lower --resolution");
     std::vector<std::vector<uint32_t>> parts(count);
-    for_points(count, 16, [&](const tbb::blocked_range<size_t>& range) {
+    for_ranges(count, 16, [&](const tbb::blocked_range<size_t>& range) {
         const NanoAccessor accessor = volume.accessor();
         const auto value = reader(accessor);
         for (size_t n = range.begin(); n < range.end(); ++n) {
@@ -87,14 +76,14 @@ std::vector<SurfacePoint> points_of(const Volume& volume, const std::vector<uint
     const std::vector<float> weights = normal_weights(normal_radius_vox);
     const kernel::NormalRule rule{normal_radius_vox, weights.data()};
     std::vector<SurfacePoint> out(contour.size());
-    for_points(contour.size(), 1024, [&](const tbb::blocked_range<size_t>& range) {
+    for_ranges(contour.size(), 1024, [&](const tbb::blocked_range<size_t>& range) {
         const NanoAccessor accessor = volume.accessor();
         const auto value = reader(accessor);
         for (size_t n = range.begin(); n < range.end(); ++n) {
             const auto& leaf = volume.leaves()[contour[n] / kLeafVoxels];
             const uint32_t at = contour[n] % kLeafVoxels;
             const nanovdb::Coord c = leaf.offsetToGlobalCoord(at);
-            out[n] = kernel::surface_point(value, leaf.getValue(at), voxel_size, c[0], c[1], c[2], rule);
+            out[n] = kernel::surface_point(value, leaf.getValue(at), voxel_size, c[0], c[1], c[2], rule, volume.base());
         }
     });
     return out;
@@ -104,9 +93,9 @@ std::vector<SurfacePoint> points_of(const Volume& volume, const std::vector<uint
 class Colorist {
   public:
     Colorist(const openvdb::FloatGrid& surface, const Volume& volume, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress)
-        : inputs_(inputs), source_(photos), options_(options), progress_(progress), rule_(color_rule(options, leaf_box(surface))), sight_(volume.sight()),
+        : inputs_(inputs), source_(photos), progress_(progress), rule_(color_rule(options, leaf_box(surface))), sight_(volume.sight()),
           batch_(options.batch ? std::min(options.batch, inputs.size()) : inputs.size()) {
-        for (const ColorInput& input : inputs) views_.push_back(make_color_view(input, surface.transform(), {1, 1, 1}));
+        for (const ColorInput& input : inputs) views_.push_back(make_color_view(input, surface.transform(), volume.base(), {1, 1, 1}));
     }
 
     Observations observe(const std::vector<SurfacePoint>& points) {
@@ -114,7 +103,7 @@ class Colorist {
         out.views = inputs_.size();
         out.table.resize(points.size() * out.views, {{0.f, 0.f, 0.f}, 0.f});
         for_batches([&](size_t first, size_t last) {
-            for_points(points.size(), 64, [&](const tbb::blocked_range<size_t>& range) {
+            for_ranges(points.size(), 64, [&](const tbb::blocked_range<size_t>& range) {
                 kernel::SightCells cells(sight_);
                 for (size_t n = range.begin(); n < range.end(); ++n)
                     for (size_t v = first; v < last; ++v) out.table[n * out.views + v] = kernel::observe(cells, views_[v], points[n], rule_);
@@ -141,7 +130,7 @@ class Colorist {
             if (count) first_choice[n] = static_cast<uint16_t>(candidates[0].view);
         };
         for_batches([&](size_t first, size_t last) {
-            for_points(points.size(), 256, [&](const tbb::blocked_range<size_t>& range) {
+            for_ranges(points.size(), 256, [&](const tbb::blocked_range<size_t>& range) {
                 kernel::SightCells cells(sight_);
                 Candidate here[kernel::kCandidates];
                 for (size_t n = range.begin(); n < range.end(); ++n) {
@@ -153,7 +142,7 @@ class Colorist {
             });
         });
         if (!at_once)
-            for_points(points.size(), 1024, [&](const tbb::blocked_range<size_t>& range) {
+            for_ranges(points.size(), 1024, [&](const tbb::blocked_range<size_t>& range) {
                 for (size_t n = range.begin(); n < range.end(); ++n) decide(n, found.data() + n * keep, counts[n]);
             });
         voxels_of_view.assign(inputs_.size(), 0);
@@ -211,7 +200,6 @@ class Colorist {
 
     const std::vector<ColorInput>& inputs_;
     const PhotoSource& source_;
-    const ColorOptions& options_;
     Progress& progress_;
     kernel::ColorRule rule_;
     kernel::SightGrid sight_;
@@ -280,6 +268,7 @@ void spread(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface, const 
 }
 
 ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress) {
+    progress.begin("color", 6);
     ColorResult out;
     auto last = std::chrono::steady_clock::now();
     const auto lap = [&](const char* name, double less = 0) {
@@ -299,7 +288,7 @@ ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<Co
         out.exposure.gains = options.gains;
     } else if (options.exposure) {
         std::vector<SurfacePoint> places;
-        for (const uint32_t n : exposure_places(contour)) places.push_back(points[n]);
+        for (const uint32_t n : exposure_places(contour.size())) places.push_back(points[n]);
         out.exposure = estimate_exposure(colorist.observe(places), options.exposure_options);
     }
     colorist.set_gains(out.exposure.gains);
@@ -313,13 +302,13 @@ ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<Co
     std::vector<uint8_t> known(contour.size());
     std::vector<uint64_t> keys(contour.size());
     std::vector<float> confidence(contour.size());
-    for_points(contour.size(), 4096, [&](const tbb::blocked_range<size_t>& range) {
+    for_ranges(contour.size(), 4096, [&](const tbb::blocked_range<size_t>& range) {
         for (size_t n = range.begin(); n < range.end(); ++n) {
             colors[n] = seen[n].color;
             known[n] = static_cast<uint8_t>(seen[n].views);
             confidence[n] = seen[n].confidence;
             const nanovdb::Coord c = volume.leaves()[contour[n] / kLeafVoxels].offsetToGlobalCoord(contour[n] % kLeafVoxels);
-            keys[n] = kernel::morton_of_voxel(c[0], c[1], c[2]);
+            keys[n] = kernel::morton_of_voxel(c[0] - volume.base().i, c[1] - volume.base().j, c[2] - volume.base().k);
         }
     });
     if (std::all_of(known.begin(), known.end(), [](uint8_t k) { return k == 0; })) explain_unseen(inputs);
@@ -333,20 +322,27 @@ ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<Co
     return out;
 }
 
-/// Unit normal of the level set at an index position, trilinear; and the value there.
-SurfacePoint point_at(const NanoAccessor& grid, const Vec3d& p) {
-    const Vec3d f(std::floor(p.x()), std::floor(p.y()), std::floor(p.z()));
+/// The place, given in index coordinates, with the level set's normal: trilinear, or windowed about the nearest voxel.
+SurfacePoint point_at(const NanoAccessor& grid, const Vec3d& p, const kernel::NormalRule& rule, const kernel::ColorBase& base) {
     const auto value = reader(grid);
     Vec3d n = Vec3d::Zero();
-    for (int c = 0; c < 8; ++c) {
-        const int d[3] = {c >> 2, c >> 1 & 1, c & 1};
-        double w = 1;
-        for (int a = 0; a < 3; ++a) w *= d[a] ? p[a] - f[a] : 1 - (p[a] - f[a]);
-        const int i = static_cast<int>(f.x()) + d[0], j = static_cast<int>(f.y()) + d[1], k = static_cast<int>(f.z()) + d[2];
-        n += w * Vec3d(value(i + 1, j, k) - value(i - 1, j, k), value(i, j + 1, k) - value(i, j - 1, k), value(i, j, k + 1) - value(i, j, k - 1));
+    if (rule.radius_vox > 0) {
+        const auto nearest = [](double x) { return static_cast<int>(std::lround(x)); };
+        const kernel::Vec3 w = kernel::windowed_normal(value, nearest(p.x()), nearest(p.y()), nearest(p.z()), rule.radius_vox, rule.weights);
+        n = Vec3d(w.x, w.y, w.z);
+    } else {
+        const Vec3d f(std::floor(p.x()), std::floor(p.y()), std::floor(p.z()));
+        for (int c = 0; c < 8; ++c) {
+            const int d[3] = {c >> 2, c >> 1 & 1, c & 1};
+            double w = 1;
+            for (int a = 0; a < 3; ++a) w *= d[a] ? p[a] - f[a] : 1 - (p[a] - f[a]);
+            const int i = static_cast<int>(f.x()) + d[0], j = static_cast<int>(f.y()) + d[1], k = static_cast<int>(f.z()) + d[2];
+            n += w * Vec3d(value(i + 1, j, k) - value(i - 1, j, k), value(i, j + 1, k) - value(i, j - 1, k), value(i, j, k + 1) - value(i, j, k - 1));
+        }
+        if (n.squaredNorm() > 0) n.normalize();
     }
-    if (n.squaredNorm() > 0) n.normalize();
-    return {static_cast<float>(p.x()), static_cast<float>(p.y()), static_cast<float>(p.z()), static_cast<float>(n.x()), static_cast<float>(n.y()), static_cast<float>(n.z())};
+    const Vec3d q = p - Vec3d(base.i, base.j, base.k);
+    return {static_cast<float>(q.x()), static_cast<float>(q.y()), static_cast<float>(q.z()), static_cast<float>(n.x()), static_cast<float>(n.y()), static_cast<float>(n.z())};
 }
 
 }  // namespace
@@ -359,7 +355,6 @@ ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInpu
 
 ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress) {
     check_color(surface, inputs, options);
-    progress.begin("color", 6);
     if (options.backend != Backend::Cuda) return color_on_cpu(surface, inputs, photos, options, progress);
     DevicePipeline device(options.device);
     device.set_surface(surface);
@@ -370,7 +365,7 @@ size_t color_vertices(Mesh& mesh, const openvdb::Vec3SGrid& color) {
     mesh.colors.assign(mesh.vertices.size(), {0, 0, 0});
     std::atomic<size_t> missed{0};
     const openvdb::math::Transform& transform = color.transform();
-    for_points(mesh.vertices.size(), 4096, [&](const tbb::blocked_range<size_t>& range) {
+    for_ranges(mesh.vertices.size(), 4096, [&](const tbb::blocked_range<size_t>& range) {
         const openvdb::Vec3SGrid::ConstAccessor accessor = color.getConstAccessor();
         const auto read = [&](int i, int j, int k, Rgb& out) {
             openvdb::Vec3s v;
@@ -408,14 +403,17 @@ double color_vertices_from_photos(Mesh& mesh, const openvdb::FloatGrid& surface,
                                   const ColorOptions& options, Progress& progress) {
     check_color(surface, inputs, options);
     color_vertices(mesh, color);
+    progress.begin("color", 1);
     std::vector<SurfacePoint> points(mesh.vertices.size());
     const Volume volume(surface);
-    for_points(points.size(), 1024, [&](const tbb::blocked_range<size_t>& range) {
+    const std::vector<float> weights = normal_weights(options.normal_radius_vox);
+    const kernel::NormalRule rule{options.normal_radius_vox, weights.data()};
+    for_ranges(points.size(), 1024, [&](const tbb::blocked_range<size_t>& range) {
         const NanoAccessor accessor = volume.accessor();
         for (size_t n = range.begin(); n < range.end(); ++n) {
             const auto& v = mesh.vertices[n];
             const openvdb::Vec3d p = surface.transform().worldToIndex(openvdb::Vec3d(v[0], v[1], v[2]));
-            points[n] = point_at(accessor, Vec3d(p[0], p[1], p[2]));
+            points[n] = point_at(accessor, Vec3d(p[0], p[1], p[2]), rule, volume.base());
         }
     });
     Colorist colorist(surface, volume, inputs, photos, options, progress);

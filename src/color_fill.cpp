@@ -24,7 +24,7 @@ struct Level {
 
 template <class Work>
 void for_all(size_t count, const Work& work) {
-    tbb::parallel_for(tbb::blocked_range<size_t>(0, count, 1024), [&](const tbb::blocked_range<size_t>& range) {
+    for_ranges(count, 1024, [&](const tbb::blocked_range<size_t>& range) {
         for (size_t n = range.begin(); n < range.end(); ++n) work(n);
     });
 }

@@ -9,6 +9,7 @@
 #include "same_transform.h"
 #include "vdbcarve/color_space.h"
 #include "vdbcarve/error.h"
+#include "vdbcarve/kernel/color_fill.h"
 #include "vdbcarve/kernel/level_set.h"
 #include "vector_loops.h"
 
@@ -17,6 +18,9 @@ namespace vdbcarve {
 void check_color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const ColorOptions& o) {
     if (surface.getGridClass() != openvdb::GRID_LEVEL_SET) throw InputError("color: grid '" + surface.getName() + "' is no level set");
     if (surface.tree().leafCount() == 0) throw InputError("color: the volume has no surface");
+    if (surface.tree().leafCount() > UINT32_MAX / kLeafVoxels) throw InputError("color: more than 2^32 voxels in leaves. Remedy: a lower --resolution");
+    if (surface.background() > 100.5 * surface.voxelSize()[0]) throw InputError("color: grid '" + surface.getName() + "' has a band of more than 100 voxels");
+    if (leaf_box(surface).dim()[leaf_box(surface).maxExtent()] >= kernel::kMortonBias - 8192) throw InputError("color: grid '" + surface.getName() + "' is more than 10^6 voxels wide");
     if (o.mode == ColorMode::None) throw UsageError("color: no mode");
     if (o.depth_vox < 1 || o.depth_vox > 1000) throw UsageError("color: the depth is " + std::to_string(o.depth_vox) + " layers, must be 1..1000");
     if (o.normal_radius_vox < 0 || o.normal_radius_vox > kMaxNormalRadius_vox)
@@ -81,12 +85,12 @@ DistanceOptions margin_fields() {
     return o;
 }
 
-kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const std::array<double, 3>& gain) {
+kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const kernel::ColorBase& base, const std::array<double, 3>& gain) {
     const Intrinsics& k = input.camera.intrinsics;
     const Rigid3& pose = input.camera.camera_from_world;
     const kernel::LatticeFrame frame = lattice_frame(transform);
     const double h = frame.voxel_size;
-    const Vec3d origin(frame.first[0], frame.first[1], frame.first[2]), first = pose * origin;
+    const Vec3d origin = Vec3d(frame.first[0], frame.first[1], frame.first[2]) + h * Vec3d(base.i, base.j, base.k), first = pose * origin;
     kernel::ColorView v{};
     for (int r = 0; r < 3; ++r) {
         for (int c = 0; c < 3; ++c) v.camera_from_index[4 * r + c] = pose.rotation(r, c) * h;
@@ -115,10 +119,12 @@ kernel::ColorRule color_rule(const ColorOptions& o, const openvdb::CoordBBox& le
     rule.test_occlusion = o.test_occlusion;
     rule.skip_upright = o.skip_upright;
     rule.up = {static_cast<float>(o.up.x()), static_cast<float>(o.up.y()), static_cast<float>(o.up.z())};
+    const kernel::ColorBase b = color_base(leaves);
+    const int base[3] = {b.i, b.j, b.k};
     // Wide enough that no line of sight begins outside.
     for (int a = 0; a < 3; ++a) {
-        rule.box.lo[a] = static_cast<float>(leaves.min()[a] - 4);
-        rule.box.hi[a] = static_cast<float>(leaves.max()[a] + 5);
+        rule.box.lo[a] = static_cast<float>(leaves.min()[a] - base[a] - 4);
+        rule.box.hi[a] = static_cast<float>(leaves.max()[a] - base[a] + 5);
     }
     return rule;
 }
@@ -129,10 +135,22 @@ openvdb::CoordBBox leaf_box(const openvdb::FloatGrid& surface) {
     return box;
 }
 
-std::vector<uint32_t> exposure_places(const std::vector<uint32_t>& contour) {
-    const size_t every = std::max<size_t>(1, contour.size() / kExposurePlaces);
+kernel::ColorBase color_base(const openvdb::CoordBBox& leaves) { return {leaves.min()[0] & ~4095, leaves.min()[1] & ~4095, leaves.min()[2] & ~4095}; }
+
+std::vector<uint64_t> sight_walls(const nanovdb::NanoGrid<float>& grid, float threshold) {
+    const auto* leaves = grid.tree().getFirstNode<0>();
+    std::vector<uint64_t> out(static_cast<size_t>(grid.tree().nodeCount(0)) * kernel::kWallWords);
+    for_ranges(out.size() / kernel::kWallWords, 64, [&](const tbb::blocked_range<size_t>& range) {
+        for (size_t n = range.begin(); n < range.end(); ++n)
+            for (uint32_t at = 0; at < kLeafVoxels; ++at) out[n * kernel::kWallWords + at / 64] |= static_cast<uint64_t>(leaves[n].getValue(at) < threshold) << (at & 63);
+    });
+    return out;
+}
+
+std::vector<uint32_t> exposure_places(size_t contour_count) {
+    const size_t every = std::max<size_t>(1, (contour_count + kExposurePlaces - 1) / kExposurePlaces);
     std::vector<uint32_t> out;
-    for (size_t n = every / 2; n < contour.size(); n += every) out.push_back(static_cast<uint32_t>(n));
+    for (size_t n = every / 2; n < contour_count; n += every) out.push_back(static_cast<uint32_t>(n));
     return out;
 }
 
@@ -220,7 +238,7 @@ void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const 
 void explain_unseen(const std::vector<ColorInput>& inputs) {
     size_t used = 0;
     for (const ColorInput& i : inputs) used += i.use;
-    throw ContradictionError("color: none of the " + std::to_string(used) + " photographs sees the surface from at least 6 degrees above it, 3 px inside its mask. Remedy: check cameras and masks, or --color none");
+    throw ContradictionError("color: of " + std::to_string(used) + " views none has a photograph that sees the surface from at least 6 degrees above it, 3 px inside its mask. Remedy: check cameras and masks, or --color none");
 }
 
 }  // namespace vdbcarve

@@ -3,6 +3,8 @@
 #pragma once
 
 #include <nanovdb/NanoVDB.h>
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
 
 #include "vdbcarve/color.h"
 #include "vdbcarve/distance.h"
@@ -34,20 +36,30 @@ class SampledMasks {
 DistanceOptions margin_fields();
 
 /// A view on the surface's lattice, without pixels and field. Its weight is 0 everywhere where the view cannot be used.
-kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const std::array<double, 3>& gain);
+kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const kernel::ColorBase& base, const std::array<double, 3>& gain);
 /// Throws InputError where the photograph does not fit its camera.
 void check_photo(const ColorInput& input, const PhotoView& photo);
 
 kernel::ColorRule color_rule(const ColorOptions& options, const openvdb::CoordBBox& leaves);
+kernel::ColorBase color_base(const openvdb::CoordBBox& leaves);
 /// Voxels nearer to the surface than this stand in the way; world units.
 inline float sight_threshold(const openvdb::FloatGrid& surface) { return kernel::kSightBlock_vox * static_cast<float>(surface.voxelSize()[0]); }
 
 /// What holds the surface's leaves.
 openvdb::CoordBBox leaf_box(const openvdb::FloatGrid& surface);
 
-/// About kExposurePlaces voxels of the contour, spread evenly.
+/// At most kExposurePlaces voxels of the contour, spread evenly.
 inline constexpr size_t kExposurePlaces = 8192;
-std::vector<uint32_t> exposure_places(const std::vector<uint32_t>& contour);
+std::vector<uint32_t> exposure_places(size_t contour_count);
+
+/// kernel::SightGrid::walls of a grid in host memory.
+std::vector<uint64_t> sight_walls(const nanovdb::NanoGrid<float>& grid, float threshold);
+
+/// work(range) over 0 <= n < count, in parallel.
+template <class Work>
+void for_ranges(size_t count, size_t grain, const Work& work) {
+    tbb::parallel_for(tbb::blocked_range<size_t>(0, count, grain), work);
+}
 
 /// Passes that carry colour over a band.
 int spread_passes(const openvdb::FloatGrid& surface);

@@ -44,10 +44,12 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     ColorResult out;
     out.backend_used = "cuda";
 
-    p.color.find_contour(volume.grid, options.normal_radius_vox, normal_weights(options.normal_radius_vox), p.stream, p.times);
+    progress.begin("color", 6);
+    const kernel::ColorBase base = color_base(leaf_box(surface));
+    if (p.color.find_contour(volume.grid, base, options.normal_radius_vox, normal_weights(options.normal_radius_vox), p.stream, p.times) == 0) explain_unseen(inputs);
     progress.step();
     std::vector<kernel::ColorView> views;
-    for (const ColorInput& input : inputs) views.push_back(make_color_view(input, surface.transform(), {1, 1, 1}));
+    for (const ColorInput& input : inputs) views.push_back(make_color_view(input, surface.transform(), base, {1, 1, 1}));
     bool held = false;
     std::vector<Photo> photos;
     PhotoUpload upload(p.stream);
@@ -70,7 +72,10 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
                 bytes += (size + 255) / 256 * 256;
             });
             uint8_t* to = p.photos.ensure(std::max<size_t>(bytes, 1));
-            for (size_t v = first; v < last; ++v) views[v].texels8 = nullptr;
+            for (size_t v = first; v < last; ++v) {
+                views[v].texels8 = nullptr;
+                views[v].texels16 = nullptr;
+            }
             each([&](size_t v, const PhotoView& photo, size_t size) {
                 kernel::ColorView& view = views[v];
                 const bool wide = photo.pixels8.empty();
@@ -102,7 +107,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     if (!options.gains.empty()) {
         out.exposure.gains = options.gains;
     } else if (options.exposure) {
-        const std::vector<uint32_t> places = exposure_places(contour);
+        const std::vector<uint32_t> places = exposure_places(contour.size());
         Observations all;
         all.views = inputs.size();
         all.table.resize(places.size() * all.views);

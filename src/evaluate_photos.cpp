@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <openvdb/tools/Interpolation.h>
-
+#include <fstream>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -9,6 +8,7 @@
 #include "vdbcarve/color.h"
 #include "vdbcarve/evaluate.h"
 #include "vdbcarve/export.h"
+#include "vdbcarve/kernel/color.h"
 #include "vdbcarve/pipeline.h"
 
 namespace vdbcarve {
@@ -19,13 +19,21 @@ namespace {
 
 std::set<std::string> left_out_of(const fs::path& result, Progress& progress) {
     std::set<std::string> out;
+    bool any = false, colored = false;
     try {
         std::ifstream in(result / "report.json");
         const nlohmann::json report = nlohmann::json::parse(in);
-        for (const auto& view : report.at("views"))
-            if (!view.value("color_used", true)) out.insert(view.at("name"));
+        for (const auto& view : report.at("views")) {
+            any = true;
+            colored |= view.contains("color_used");
+            if (!view.value("color_used", false)) out.insert(view.at("name"));
+        }
     } catch (const nlohmann::json::exception&) {
         progress.warn((result / "report.json").string() + ": cannot be read; all views count as used for colour");
+    }
+    if (any && !colored) {
+        progress.warn((result / "report.json").string() + ": says nothing about colour; all views count as used for it");
+        out.clear();
     }
     return out;
 }
@@ -55,9 +63,18 @@ std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views
     }
     std::function<std::array<float, 3>(const Vec3d&)> color_at;
     if (volume)
-        color_at = [sampler = openvdb::tools::GridSampler<openvdb::Vec3SGrid, openvdb::tools::BoxSampler>(*volume)](const Vec3d& p) {
-            const openvdb::Vec3s c = sampler.wsSample(openvdb::Vec3d(p.x(), p.y(), p.z()));
-            return std::array<float, 3>{c[0], c[1], c[2]};
+        color_at = [&volume, accessor = volume->getConstAccessor()](const Vec3d& p) {
+            const openvdb::Vec3d at = volume->transform().worldToIndex(openvdb::Vec3d(p.x(), p.y(), p.z()));
+            kernel::Rgb c{0.f, 0.f, 0.f};
+            kernel::interpolate_color(
+                [&](int i, int j, int k, kernel::Rgb& out) {
+                    openvdb::Vec3s v;
+                    if (!accessor.probeValue(openvdb::Coord(i, j, k), v)) return false;
+                    out = {v[0], v[1], v[2]};
+                    return true;
+                },
+                at[0], at[1], at[2], c);
+            return std::array<float, 3>{c.r, c.g, c.b};
         };
     const std::set<std::string> left_out = options.result.empty() ? std::set<std::string>() : left_out_of(options.result, progress);
     const std::vector<std::string> masks = mask_names(views);
@@ -75,7 +92,10 @@ std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views
         Mask mask;
         if (const fs::path file = options.result / "masks" / masks[i]; !options.result.empty() && fs::exists(file)) mask.coverage = io::read_image8(file);
         const Image8 rendered = render_colors(mesh, cameras[i], color_at);
-        if (mask.coverage.width != rendered.width || mask.coverage.height != rendered.height) mask = {};
+        if (!mask.coverage.empty() && (mask.coverage.width != rendered.width || mask.coverage.height != rendered.height)) {
+            progress.warn("view " + view.name + ": the result's mask has another size than the camera and is not used");
+            mask = {};
+        }
         out[i].agreement = compare_photo(rendered, view_of(photo), view_of(mask));
         if (options.save.empty()) continue;
         const auto png = io::encode_png(side_by_side(rendered, view_of(photo)));

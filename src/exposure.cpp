@@ -104,7 +104,8 @@ Eigen::VectorXd solve(Logs& l, size_t views, const ExposureOptions& options) {
 
 Exposure estimate_exposure(const Observations& o, const ExposureOptions& options) {
     Exposure out;
-    out.gains.assign(o.views, {1, 1, 1});
+    const std::vector<std::array<double, 3>> ones(o.views, {1, 1, 1});
+    out.gains = ones;
     out.places.assign(o.views, 0);
     for (int channel = options.per_channel ? 0 : 3; channel < (options.per_channel ? 3 : 4); ++channel) {
         Logs logs = logs_of(o, channel);
@@ -133,6 +134,11 @@ Exposure estimate_exposure(const Observations& o, const ExposureOptions& options
             if (channel == 3) out.gains[v] = {gain, gain, gain};
             else out.gains[v][static_cast<size_t>(channel)] = gain;
         }
+    }
+    // Where what differs is not exposure (a wrong shape, a lamp that stays), gains would only add to it.
+    if (out.disagreement >= out.disagreement_before) {
+        out.gains = ones;
+        out.disagreement = out.disagreement_before;
     }
     return out;
 }

@@ -410,6 +410,8 @@ class Job {
     // On the device: candidate leaves (1.35 for each that stays) with values, views and cells, and the grid; the level set's two sets
     // of values, its grid and neighbours; edges, vertices with normals and triangles.
     static constexpr double kDeviceHullPerLeaf = 1.35 * (2048 + 64 + 240) + 2148, kDeviceSurfacePerLeaf = 2 * 2048 + 64 + 24 + 2148, kDeviceMeshPerLeaf = 256 + 50 * 24 + 100 * 12;
+    // Colours and layers of all voxels in leaves, candidates and the fill's cells of those of the contour.
+    static constexpr double kDeviceColorPerLeaf = 14000;
     static constexpr double kCarveBase = 20e6, kMeshBase = 40e6, kExportBase = 70e6;
 
     /// Peak memory of the run from here, by stage, into the report; then batches, bricks, or a clear no.
@@ -468,7 +470,7 @@ class Job {
         double samples = 0;
         for (const MaskView& m : used_masks_) samples += 0.5 * static_cast<double>(planned_field_bytes(m, field_options_));
         const double base = masks + 14 * samples;
-        const double per_leaf = kDeviceHullPerLeaf + (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf : 0) + (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
+        const double per_leaf = kDeviceHullPerLeaf + (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf + (o_.color.mode != ColorMode::None ? kDeviceColorPerLeaf : 0) : 0) + (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
         double room = 0;
         if (!on_device("carve", [&] { room = 0.95 * static_cast<double>(device_->free_bytes()) - base; })) return false;
         if (leaves * per_leaf <= room) return true;
@@ -788,8 +790,19 @@ class Job {
         };
     }
 
+    /// A photograph, its field and what making both needs besides.
+    double largest_photo_bytes() const {
+        double largest = 1;
+        for (const size_t i : used_) {
+            const Intrinsics& k = views_.views[i].camera.intrinsics;
+            largest = std::max(largest, 12.0 * k.width_px * k.height_px);
+        }
+        return largest;
+    }
+
     ColorOptions color_options() {
         ColorOptions options = o_.color;
+        options.gains.clear();
         if (o_.occupancy && options.normal_radius_vox == 0) options.normal_radius_vox = 3;
         options.device = o_.device;
         const std::string& up = views_.up;
@@ -797,12 +810,7 @@ class Job {
             options.up = Vec3d::Unit(up.back() - 'x');
             if (up.front() == '-') options.up = -options.up;
         }
-        // Photographs, their fields and what decoding needs besides, a view.
-        double largest = 1;
-        for (const size_t i : used_) {
-            const Intrinsics& k = views_.views[i].camera.intrinsics;
-            largest = std::max(largest, 12.0 * k.width_px * k.height_px);
-        }
+        const double largest = largest_photo_bytes();
         const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
         const double room = limit - static_cast<double>(resident_memory_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kColorPerLeaf;
         const double wanted = o_.color.batch ? static_cast<double>(o_.color.batch) : static_cast<double>(used_.size());
@@ -816,6 +824,7 @@ class Job {
         const ColorOptions& c = o_.color;
         h.add("color").add_value(kCodeVersion).add(surface_key_).add_value(c.mode).add_value(c.test_occlusion).add_value(c.skip_upright).add_value(c.exposure);
         h.add_value(c.exposure_options.per_channel).add_value(c.depth_vox).add_value(c.normal_radius_vox).add_value(o_.color_leave_out);
+        h.add_value(c.exposure_options.noise).add_value(c.exposure_options.spread).add_value(c.exposure_options.iterations);
         for (size_t i : used_) h.add(file_hashes_[i]);
         color_key_ = h.hex();
         if (photos_are_masks()) {
@@ -833,6 +842,8 @@ class Job {
             if (color_) {
                 report_["color"] = (*note)["color"];
                 color_views_ = (*note)["views"];
+                for (const auto& [name, said] : color_views_.items())
+                    if (!said["color_used"].get<bool>()) missing_photos_.insert(name);  // named by the note's warnings
                 for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
                 return true;
             }
@@ -841,12 +852,22 @@ class Job {
         const std::vector<ColorInput> inputs = color_inputs();
         ColorOptions options = color_options();
         ColorResult result;
-        const bool done = backend_ == Backend::Cuda && on_device("color", [&] {
-            if (!surface_on_device_) device_->set_surface(*surface_);
-            surface_on_device_ = true;
-            result = device_->color(*surface_, inputs, photo_source(), options, progress_);
-        });
-        if (!done) result = color_in_batches(*surface_, inputs, photo_source(), options, progress_);
+        try {
+            const bool done = backend_ == Backend::Cuda && on_device("color", [&] {
+                if (!surface_on_device_) device_->set_surface(*surface_);
+                surface_on_device_ = true;
+                ColorOptions there = options;
+                const double room = 0.9 * static_cast<double>(device_->free_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kDeviceColorPerLeaf;
+                there.batch = static_cast<size_t>(std::clamp(room / (2 * largest_photo_bytes()), 1.0, static_cast<double>(options.batch)));
+                result = device_->color(*surface_, inputs, photo_source(), there, progress_);
+            });
+            if (!done) result = color_in_batches(*surface_, inputs, photo_source(), options, progress_);
+        } catch (const ContradictionError& e) {
+            // The shape stands without its colours.
+            progress_.warn(std::string(e.what()) + "; the result has no colour");
+            color_key_ += "none";
+            return false;
+        }
         color_ = result.color;
         views_grid_ = result.views;
         confidence_grid_ = result.confidence;
@@ -854,8 +875,11 @@ class Job {
         const auto of_surface = [&](size_t n) { return static_cast<double>(n) / static_cast<double>(s.surface_voxels); };
         json ms;
         for (const auto& [name, value] : result.milliseconds) ms[name] = value;
-        report_["color"] = {{"surface_voxels", s.surface_voxels}, {"seen_share", of_surface(s.colored)}, {"synthesised_share", of_surface(s.synthesised)},
-                            {"exposure_disagreement_before", result.exposure.disagreement_before}, {"exposure_disagreement", result.exposure.disagreement}, {"milliseconds", ms}};
+        report_["color"] = {{"surface_voxels", s.surface_voxels}, {"seen_share", of_surface(s.colored)}, {"synthesised_share", of_surface(s.synthesised)}, {"milliseconds", ms}};
+        if (options.exposure) {
+            report_["color"]["exposure_disagreement_before"] = result.exposure.disagreement_before;
+            report_["color"]["exposure_disagreement"] = result.exposure.disagreement;
+        }
         color_views_ = json::object();
         for (size_t u = 0; u < inputs.size(); ++u)
             color_views_[inputs[u].name] = {{"color_used", inputs[u].use && !missing_photos_.count(inputs[u].name)}, {"exposure_gain", result.exposure.gains[u]}, {"first_choice_share", of_surface(s.voxels_of_view[u])}};
@@ -887,9 +911,15 @@ class Job {
         mesh_key_ = h.add_value(o_.color_from_photos && color_).hex();
         const fs::path file = store_.path("mesh", mesh_key_, ".ply");
         const bool reused = fs::exists(file);
+        const fs::path note_file = store_.path("mesh", mesh_key_, ".json");
         if (reused) {
             mesh_ = read_mesh(file);
+            if (const auto note = stage_note(note_file, {"vertices_seen_share", "warnings"})) {
+                if (!(*note)["vertices_seen_share"].is_null()) report_["color"]["vertices_seen_share"] = (*note)["vertices_seen_share"];
+                for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+            }
         } else {
+            const size_t warnings_before = progress_.warnings().size();
             MeshOptions options;
             options.adaptivity = o_.adaptivity;
             options.mesher = o_.mesher;
@@ -902,6 +932,10 @@ class Job {
             });
             if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
             color_mesh();
+            const std::vector<std::string> all = progress_.warnings();
+            const bool direct = o_.color_from_photos && color_;
+            write_file(note_file, json{{"vertices_seen_share", direct ? report_["color"]["vertices_seen_share"] : json()},
+                                       {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}}.dump(1) + "\n");
             write_mesh(file, mesh_);
         }
         measures_ = measure(mesh_);

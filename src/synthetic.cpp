@@ -6,8 +6,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
-#include <nlohmann/json.hpp>
 #include <numbers>
 #include <random>
 
@@ -315,16 +313,19 @@ class Object {
             if (const auto t = s.hit(ray); t && (!nearest || *t < *nearest)) nearest = t;
         return nearest;
     }
-    /// The surface point nearest to a place, and its distance. Solids: by steps along the gradient.
+    /// The surface point nearest to a place, and its distance. Solids: by steps along the gradient. Meshes: after prepare_nearest().
     SurfacePoint nearest(const Vec3d& p, double& distance) const {
         if (spec_.solids.empty()) {
-            if (!tree_) tree_.emplace(spec_.mesh);
             const TriangleTree::Nearest n = tree_->nearest(p);
             distance = n.distance;
             return {tree_->nearest_on(n.triangle, p), tree_->triangle(n.triangle).normal().normalized(), n.triangle};
         }
         Vec3d q = p;
-        for (int step = 0; step < 20; ++step) q -= value(q) * gradient(q);
+        for (int step = 0; step < 20; ++step) {
+            const double v = value(q);
+            if (std::abs(v) < 1e-9 * radius_) break;
+            q -= v * gradient(q);
+        }
         distance = (q - p).norm();
         return {q, gradient(q), nearest_solid(q)};
     }

@@ -308,6 +308,11 @@ void check_views(const Views& views) {
 
 Photo load_photo(const View& view) {
     Photo photo = io::read_photo(view.image_path);
+    const Intrinsics& k = view.camera.intrinsics;
+    const PhotoView size = view_of(photo);
+    if (size.width() != k.width_px || size.height() != k.height_px)
+        throw InputError(view.image_path.string() + ": has " + std::to_string(size.width()) + " x " + std::to_string(size.height()) + " pixels, the camera of view " + view.name + " " + std::to_string(k.width_px) + " x " +
+                         std::to_string(k.height_px));
     return view.lens.distorts() ? io::undistort(photo, view.camera.intrinsics, view.lens) : photo;
 }
 

@@ -351,6 +351,7 @@ const std::vector<ColorCase>& color_cases() {
         {"two_views", [] { return colored("ellipsoids", 2, 64, [](SyntheticSpec& s) { s.rig.arc_deg = 180; }); }, [](ColorOptions&) {}},
         {"fine_photographs", [] { return colored("ellipsoids", 8, 40, [](SyntheticSpec& s) { s.rig.width_px = 640; s.rig.height_px = 480; }); }, [](ColorOptions&) {}},
         {"odd_photographs", odd_photographs, [](ColorOptions&) {}},
+        {"odd_photographs_one_by_one", odd_photographs, [](ColorOptions& o) { o.batch = 1; }},
         {"large", [] { return colored("cup", 12, 300); }, [](ColorOptions&) {}},
     };
     return all;
@@ -379,7 +380,7 @@ TEST_P(GpuColor, EqualsTheCpus) {
         EXPECT_EQ(cpu.statistics.voxels_of_view, gpu.statistics.voxels_of_view);
     };
     expect_equal(run(Backend::Cuda));
-    // From the level set as the device made it, twice on the same buffers.
+    // Twice on the same buffers.
     DevicePipeline device;
     device.set_surface(*s.surface);
     for (int again = 0; again < 2; ++again) expect_equal(device.color(*s.surface, s.inputs, source, o, quiet_));

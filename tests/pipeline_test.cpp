@@ -278,13 +278,11 @@ TEST(Pipeline, ColoursReachVolumeMeshAndReport) {
     EXPECT_TRUE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
 }
 
-TEST(Pipeline, ColoursUnderAMemoryLimitAreTheSame) {
+TEST(Pipeline, ColoursFromOnePhotographAtATimeAreTheSame) {
     Job job("torus", true);
     job.run();
     const std::string volume = job.bytes("volume.vdb"), mesh = job.bytes("mesh.ply");
     fs::remove_all(job.folder / "out");
-    // So little that photographs come one by one, and yet enough for the rest, whatever the test has allocated before.
-    job.options.memory_limit = 0;
     job.options.color.batch = 1;
     job.run();
     EXPECT_EQ(job.bytes("volume.vdb"), volume);
@@ -301,6 +299,62 @@ TEST(Pipeline, APhotographThatCannotBeReadGivesNoColourAndIsNamed) {
     EXPECT_EQ(r["views"][3]["color_used"], false);
     EXPECT_EQ(r["views"][2]["color_used"], true);
     EXPECT_FALSE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
+}
+
+// Carving needs masks only: a photograph of another size gives no colour, with a lens or without.
+TEST(Pipeline, APhotographOfAnotherSizeGivesNoColourAndIsNamed) {
+    for (const bool lens : {false, true}) {
+        TemporaryFolder folder;
+        SyntheticSpec spec = small_spec("ellipsoids", 8, 160, 120);
+        if (lens) {
+            spec.rig.lens.model = Lens::Model::OpenCV;
+            spec.rig.lens.coefficients = {-0.1, 0.02, 0.001, -0.001};
+        }
+        Progress progress;
+        write_scene(synthesize(spec, progress), folder / "scene");
+        const auto small = io::encode_png(Image8(80, 60, 3, 90));
+        write_text(folder / "scene/images/0003.png", std::string(small.begin(), small.end()));
+        ReconstructOptions o;
+        o.views.scene = folder / "scene";
+        o.output = folder / "out";
+        o.resolution = 48;
+        json r;
+        try {
+            r = json::parse(reconstruct(o, progress).report_json);
+        } catch (const InputError& e) {
+            // The views' own check of sizes may come first; it names the picture too.
+            EXPECT_NE(std::string(e.what()).find("0003.png"), std::string::npos) << e.what();
+            continue;
+        }
+        EXPECT_EQ(r["views"][3]["color_used"], false);
+        bool named = false;
+        for (const json& w : r["warnings"]) named |= w.get<std::string>().find("80 x 60") != std::string::npos;
+        EXPECT_TRUE(named) << r["warnings"];
+    }
+}
+
+TEST(Pipeline, AShapeWithoutReadablePhotographsStandsWithoutColour) {
+    Job job("ellipsoids", true);
+    for (int i = 0; i < 8; ++i) {
+        const fs::path file = job.folder / ("scene/images/000" + std::to_string(i) + ".png");
+        write_text(file, read_text(file).substr(0, 100));
+    }
+    const json r = job.run();
+    EXPECT_TRUE(r["mesh"]["manifold"]);
+    EXPECT_TRUE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
+    bool said = false;
+    for (const json& w : r["warnings"]) said |= w.get<std::string>().find("no colour") != std::string::npos;
+    EXPECT_TRUE(said) << r["warnings"];
+}
+
+TEST(Pipeline, OccupancyWithColoursFromTheImages) {
+    Job job("torus", true);
+    job.options.occupancy = true;
+    job.options.color_from_photos = true;
+    const json r = job.run();
+    EXPECT_GT(r["color"]["vertices_seen_share"], 0.5);
+    // Said again when the mesh is there already.
+    EXPECT_GT(job.run()["color"]["vertices_seen_share"], 0.5);
 }
 
 TEST(Pipeline, RenderingsAreComparedWithPhotographs) {

@@ -57,16 +57,23 @@ INSTANTIATE_TEST_SUITE_P(Sets, Real,
                          [](const auto& instance) { return std::string(instance.param.name); });
 
 // Keenan Crane's textured models, photographed: of what cameras truly see 3 px inside their masks 98 % is coloured, and rightly.
-class Textured : public testing::TestWithParam<std::pair<const char*, const char*>> {};
+struct TexturedModel {
+    const char* mesh;
+    const char* texture;
+};
+
+void PrintTo(const TexturedModel& m, std::ostream* out) { *out << m.mesh; }
+
+class Textured : public testing::TestWithParam<TexturedModel> {};
 
 TEST_P(Textured, ComesBackWithItsColours) {
     const char* data = std::getenv("VDBCARVE_TEST_DATA");
     if (!data) GTEST_SKIP() << "VDBCARVE_TEST_DATA is not set";
-    const fs::path mesh = fs::path(data) / "meshes" / GetParam().first;
+    const fs::path mesh = fs::path(data) / "meshes" / GetParam().mesh;
     if (!fs::exists(mesh)) GTEST_SKIP() << mesh << " is not there";
     SyntheticSpec spec;
     spec.mesh = read_mesh(mesh);
-    spec.texture = read_texture(fs::path(data) / "meshes" / GetParam().second);
+    spec.texture = read_texture(fs::path(data) / "meshes" / GetParam().texture);
     spec.rig.width_px = 1024;
     spec.rig.height_px = 768;
     const ColorScene s = color_scene(spec, 192);
@@ -84,7 +91,7 @@ TEST_P(Textured, ComesBackWithItsColours) {
     }
 }
 
-INSTANTIATE_TEST_SUITE_P(Models, Textured, testing::Values(std::pair{"spot_triangulated.obj", "spot_texture.png"}, std::pair{"bob_tri.obj", "bob_diffuse.png"}));
+INSTANTIATE_TEST_SUITE_P(Models, Textured, testing::Values(TexturedModel{"spot_triangulated.obj", "spot_texture.png"}, TexturedModel{"bob_tri.obj", "bob_diffuse.png"}));
 
 }  // namespace
 }  // namespace vdbcarve::test

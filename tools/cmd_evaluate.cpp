@@ -86,10 +86,10 @@ PhotoMean mean_of(const std::vector<PhotoComparison>& rows, bool used) {
     return m;
 }
 
-void print_photos(const std::vector<PhotoComparison>& rows, bool verbose) {
+void print_photos(const std::vector<PhotoComparison>& rows, bool of_result, bool verbose) {
     for (const bool used : {true, false})
         if (const PhotoMean m = mean_of(rows, used); m.views)
-            std::printf("photographs, %zu views %s  PSNR %.2f dB, SSIM %.4f inside the silhouette (means)\n", m.views, used ? "used for colour    " : "left out of colour ", m.psnr_db, m.ssim);
+            std::printf("photographs, %zu views %s  PSNR %.2f dB, SSIM %.4f inside the silhouette (means)\n", m.views, !of_result ? "" : used ? "used for colour    " : "left out of colour ", m.psnr_db, m.ssim);
     if (!verbose) return;
     for (const PhotoComparison& r : rows) std::printf("  %-32s %s  PSNR %6.2f dB  SSIM %.4f  %zu px\n", r.name.c_str(), r.used ? "used    " : "left out", r.agreement.psnr_db, r.agreement.ssim, r.agreement.pixels);
 }
@@ -136,7 +136,7 @@ Command add_evaluate(CLI::App& program) {
                 }
                 if (raw->truth.empty()) {
                     if (common.json == "-") std::cout << nlohmann::ordered_json{{"photos", photos_json(photos)}}.dump(1) << "\n";
-                    else print_photos(photos, common.verbose);
+                    else print_photos(photos, !result.empty(), common.verbose);
                     return 0;
                 }
                 if (raw->align != "none") raw->options.align = alignment(*raw, progress);
@@ -154,7 +154,7 @@ Command add_evaluate(CLI::App& program) {
                 std::printf("volume %.6g, truth %.6g, excess %+.2f %%; IoU %.4f, truth lost %.3f %%\n", e.volume, e.truth_volume, 100 * e.volume_excess, e.iou, 100 * e.truth_lost);
                 if (!std::isnan(e.color_median)) std::printf("colours off by (CIEDE2000)    mean %.2f  median %.2f  95 %% %.2f\n", e.color_mean, e.color_median, e.color_p95);
                 std::printf("normals off by %.2f degrees on average, median %.2f\n", e.normal_error_mean_deg, e.normal_error_median_deg);
-                print_photos(photos, common.verbose);
+                print_photos(photos, !result.empty(), common.verbose);
                 return 0;
             }};
 }

@@ -155,7 +155,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option("--color", o.color.mode, "blend (default): three views that see the place, weighted; best: the one most in front (the paper); none")
             ->transform(CLI::CheckedTransformer(modes, CLI::ignore_case))->group("Colour");
         static const std::map<std::string, bool> sources{{"volume", false}, {"images", true}};
-        app->add_option("--color-source", o.color_from_photos, "vertex colours from the volume (default), or from the images vertex by vertex")->transform(CLI::CheckedTransformer(sources, CLI::ignore_case))->group("Colour");
+        app->add_option("--color-source", o.color_from_photos, "vertex colours from the volume (default: mesh and volume agree), or from the images vertex by vertex (sharper where voxels are coarse)")->transform(CLI::CheckedTransformer(sources, CLI::ignore_case))->group("Colour");
         app->add_option("--color-depth", o.color.depth_vox, "layers of voxels, from the surface inwards, that get colour")->capture_default_str()->check(CLI::Range(1, 1000))->group("Colour");
         app->add_option_function<std::string>("--exposure", [raw](const std::string& text) {
             raw->options.color.exposure = text != "none";
@@ -165,10 +165,10 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option_function<std::vector<std::string>>("--color-grids", [raw](const std::vector<std::string>& names) {
             for (const std::string& n : names) (n == "views" ? raw->options.views_grid : raw->options.confidence_grid) = true;
         }, "further grids for volume.vdb: views (how many were blended, 0: made up), confidence")->delimiter(',')->check(CLI::IsMember({"views", "confidence"}))->group("Colour");
-        app->add_option("--color-normal-radius", o.color.normal_radius_vox, "the paper's normals, from a window of so many voxels (default: the level set's; 3 with --occupancy)")->check(CLI::Range(0, 5))->group("Colour");
+        app->add_option("--color-normal-radius", o.color.normal_radius_vox, "the paper's normals, from a window of so many voxels (default: the level set's; 3 with --occupancy)")->check(CLI::Range(1, kMaxNormalRadius_vox))->group("Colour");
         static const std::map<std::string, bool> onoff{{"on", true}, {"off", false}};
         app->add_option("--color-occlusion", o.color.test_occlusion, "off: hidden surfaces take the colour of what stands before them, as in the paper")->transform(CLI::CheckedTransformer(onoff, CLI::ignore_case))->group("Colour");
-        app->add_flag("--paper", o.color.skip_upright, "with --color best: faces that look straight up or down are left to the fill (the paper's listing 4.2)")->group("Colour");
+        app->add_flag("--paper", o.color.skip_upright, "with --color best: faces that look straight up or down (within 2.6 degrees) are left to the fill (the paper's listing 4.2)")->group("Colour");
         app->add_option("--dcc", o.dcc, "names the colour grid for a program: none, blender, maya (color) or houdini (Cd)")->check(CLI::IsMember({"none", "blender", "houdini", "maya"}))->capture_default_str()->group("Result");
         app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,stl")->delimiter(',')->capture_default_str()->group("Result");
     }

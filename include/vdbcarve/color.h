@@ -62,7 +62,7 @@ struct ColorStatistics {
     size_t surface_voxels = 0;  ///< of the contour
     size_t colored = 0;         ///< seen by a view
     size_t synthesised = 0;     ///< filled from neighbours: no view sees them
-    std::vector<size_t> voxels_of_view;  ///< for which the view was the first choice
+    std::vector<size_t> voxels_of_view;  ///< for which the view was the weightiest
 };
 
 struct ColorResult {
@@ -93,7 +93,7 @@ ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vecto
 size_t color_vertices(Mesh& mesh, const openvdb::Vec3SGrid& color);
 
 /// Vertex colours straight from the photographs, by the same rules as the volume's; vertices that no view sees take the volume's.
-/// Returns the share of vertices seen.
+/// Gains are options.gains, those of ColorResult::exposure, and not estimated; on the CPU. Returns the share of vertices seen.
 double color_vertices_from_photos(Mesh& mesh, const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid& color, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
                                   const ColorOptions& options, Progress& progress);
 

@@ -77,6 +77,7 @@ struct PhotoComparison {
     PhotoAgreement agreement;
 };
 
+/// Masks in a result's folder do not say what is ignored: such pixels are compared too.
 /// Renders a coloured mesh into all cameras that have a photograph. Views one after the other, pictures of one in memory at a time.
 /// Throws InputError.
 std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views, const PhotoOptions& options, Progress& progress);

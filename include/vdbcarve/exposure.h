@@ -34,7 +34,8 @@ struct Exposure {
 };
 
 /// Gains that make the views agree: least squares over ln(gain) + ln(colour) - (the place's own), each place's own eliminated, with
-/// Huber's weights (1.345 sigma) and a prior of ln(gain) = 0: Brown and Lowe 2007, eq. 29, in logarithms. n x n normal equations.
+/// Huber's weights (1.345 sigma) and a prior of ln(gain) = 0: Brown and Lowe 2007, eq. 29, in logarithms. n x n normal equations. Gains that do not lower the
+/// disagreement are not taken: all are 1 then.
 /// Deterministic. Time: iterations x places x (views that see one)^2.
 Exposure estimate_exposure(const Observations& observations, const ExposureOptions& options);
 

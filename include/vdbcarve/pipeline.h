@@ -46,7 +46,7 @@ struct ReconstructOptions {
     Mesher mesher = Mesher::Dual;
     bool normals = false;                            ///< of the mesh, Mesher::MarchingCubes
 
-    /// How the surface is coloured; mode None: not. Backend, device and `up` are set by the job; `batch` is lowered to keep within memory_limit.
+    /// How the surface is coloured; mode None: not. Gains, backend, device and `up` are set by the job; `batch` is lowered to keep within memory_limit.
     ColorOptions color;
     bool color_from_photos = false;                  ///< vertex colours straight from the photographs, not from the volume
     int color_leave_out = 0;                         ///< every so manieth view is left out of colouring, to be compared with (evaluate --photos); 0: none

@@ -36,7 +36,7 @@ struct MeshMeasures {
 /// Time O(faces log faces).
 MeshMeasures measure(const Mesh& mesh);
 
-/// Reads .ply, .obj, .stl and .off; polygons are cut into fans. Vertex colours of 8 bits are taken to be sRGB. Throws InputError.
+/// Reads .ply, .obj, .stl and .off; polygons are cut into fans. Vertex colours are taken to be sRGB. Throws InputError.
 Mesh read_mesh(const std::filesystem::path& file);
 
 /// Writes .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue], triangles), .obj (v x y z [r g b]) or .stl (binary) by

@@ -72,7 +72,8 @@ void check_views(const Views& views);
 /// Reading it again gives the same cameras to 1e-12.
 std::string cameras_json(const Views& views, const std::filesystem::path& relative_to = {});
 
-/// The view's photograph as its camera would have taken it without distortion. Throws InputError naming the file.
+/// The view's photograph as its camera would have taken it without distortion. Throws InputError naming the file, also
+/// where it has not the camera's size.
 Photo load_photo(const View& view);
 
 /// "image_2" before "image_10".

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The arithmetic of colouring: which voxels, seen by which views, and what becomes of the colours they show.
 //
-// Frames: `index` (voxel centres at integers), image pixels with the first pixel's centre at (0.5, 0.5). Colours are linear light.
+// Frames: `index` (voxel centres at integers), points and eyes counted from a base near the surface (ColorBase), image pixels with the first pixel's centre at (0.5, 0.5). Colours are linear light.
 // Means are written as c0 + sum w (c - c0) / sum w: equal colours give exactly that colour.
 #pragma once
 
@@ -30,7 +30,7 @@ struct RgbMean {
 
 // ------------------------------------------------------------------------------------ the surface's voxels
 
-/// A point on the surface and its outward unit normal, index coordinates.
+/// A point on the surface and its outward unit normal, voxels from the base.
 struct SurfacePoint {
     float x, y, z, nx, ny, nz;
 };
@@ -79,19 +79,19 @@ struct NormalRule {
 
 /// The surface point nearest to a contour voxel.
 template <class Value>
-VDBCARVE_HD SurfacePoint surface_point(const Value& value, float here, float voxel_size, int i, int j, int k, const NormalRule& rule) {
+VDBCARVE_HD SurfacePoint surface_point(const Value& value, float here, float voxel_size, int i, int j, int k, const NormalRule& rule, const ColorBase& base) {
     const Vec3 n = rule.radius_vox > 0 ? windowed_normal(value, i, j, k, rule.radius_vox, rule.weights) : field_normal(value, i, j, k);
     const float out = -here / voxel_size;
-    return {static_cast<float>(i) + out * n.x, static_cast<float>(j) + out * n.y, static_cast<float>(k) + out * n.z, n.x, n.y, n.z};
+    return {static_cast<float>(i - base.i) + out * n.x, static_cast<float>(j - base.j) + out * n.y, static_cast<float>(k - base.k) + out * n.z, n.x, n.y, n.z};
 }
 
 // ------------------------------------------------------------------------------------ views
 
 /// One photograph with its camera. Trivially copyable; pointers are borrowed.
 struct ColorView : Projection {
-    /// Row-major 3x4: camera-space point (world units) = matrix * (i, j, k, 1), index coordinates.
+    /// Row-major 3x4: camera-space point (world units) = matrix * (i, j, k, 1), voxels from the base.
     double camera_from_index[12];
-    Vec3 eye;              ///< camera centre, index coordinates; orthographic: unit direction towards the camera
+    Vec3 eye;              ///< camera centre, voxels from the base; orthographic: unit direction towards the camera
     float width, height;   ///< of the photograph, px
     float near_depth;      ///< world units
     float voxel_px;        ///< pixels across a voxel at depth 1 (perspective) or anywhere (orthographic)

@@ -12,7 +12,13 @@
 
 namespace vdbcarve::kernel {
 
-/// Index coordinates beyond which there is nothing to be hit.
+/// Where colouring counts from: index coordinates less this, a multiple of 4096 (the widest cell) near the surface, so that floats are fine
+/// however far away the world's origin is.
+struct ColorBase {
+    int i, j, k;
+};
+
+/// Coordinates beyond which there is nothing to be hit, from the base.
 struct SightBox {
     float lo[3], hi[3];
 };
@@ -25,6 +31,7 @@ struct SightGrid {
     const nanovdb::NanoGrid<float>* grid;
     const uint64_t* walls;  ///< kWallWords a leaf, in the grid's order: value < threshold
     float threshold;        ///< world units; of tiles
+    ColorBase base;
 };
 
 /// A step beyond a cell's border, in voxels, so that rounding does not find the cell before it again.
@@ -36,12 +43,13 @@ VDBCARVE_HD int floor_of(float x) {
     return x < static_cast<float>(i) ? i - 1 : i;
 }
 
-/// How wide the empty cell is that holds a voxel: 1 to 4096, a power of two, aligned to itself; 0: the voxel stands in the way.
+/// How wide the empty cell is that holds a voxel (coordinates from the base): 1 to 4096, a power of two, aligned to itself; 0: the voxel stands in the way.
 class SightCells {
   public:
     VDBCARVE_HD explicit SightCells(const SightGrid& grid) : grid_(grid), first_(grid.grid->tree().template getFirstNode<0>()) {}
 
-    VDBCARVE_HD int width(const nanovdb::Coord& c) {
+    VDBCARVE_HD int width(const nanovdb::Coord& from_base) {
+        const nanovdb::Coord c(from_base[0] + grid_.base.i, from_base[1] + grid_.base.j, from_base[2] + grid_.base.k);
         if (!known_ || ((c[0] ^ block_[0]) | (c[1] ^ block_[1]) | (c[2] ^ block_[2])) & ~127) find_block(c);
         if (!lower_) return width_;
         const auto* node = lower_->data();
@@ -101,7 +109,7 @@ class SightCells {
 };
 
 /// True when a voxel that stands in the way has its cell (the cube around its centre) on the way from `start` along
-/// `direction` (unit, index coordinates) up to `length` voxels. Every step is computed from the start: no error builds up.
+/// `direction` (unit) up to `length` voxels. Every step is computed from the start: no error builds up.
 VDBCARVE_HD bool is_blocked(SightCells& cells, const SightBox& box, const Vec3& start, const Vec3& direction, float length) {
     const float from[3] = {start.x + 0.5f, start.y + 0.5f, start.z + 0.5f}, along[3] = {direction.x, direction.y, direction.z};
     float inverse[3], end = length;
