@@ -93,9 +93,8 @@ std::vector<SurfacePoint> points_of(const Volume& volume, const std::vector<uint
 class Colorist {
   public:
     Colorist(const openvdb::FloatGrid& surface, const Volume& volume, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress)
-        : inputs_(inputs), source_(photos), progress_(progress), rule_(color_rule(options, leaf_box(surface))), sight_(volume.sight()),
-          batch_(options.batch ? std::min(options.batch, inputs.size()) : inputs.size()) {
-        for (const ColorInput& input : inputs) views_.push_back(make_color_view(input, surface.transform(), volume.base(), {1, 1, 1}));
+        : inputs_(inputs), source_(photos), progress_(progress), rule_(color_rule(options, leaf_box(surface))), sight_(volume.sight()), batches_(inputs.size(), options.batch) {
+        for (const ColorInput& input : inputs) views_.push_back(make_color_view(input, surface.transform(), volume.base()));
     }
 
     Observations observe(const std::vector<SurfacePoint>& points) {
@@ -112,16 +111,13 @@ class Colorist {
         return out;
     }
 
-    void set_gains(const std::vector<std::array<double, 3>>& gains) {
-        for (size_t v = 0; v < views_.size(); ++v)
-            for (size_t c = 0; c < 3; ++c) views_[v].gain[c] = static_cast<float>(gains[v][c]);
-    }
+    void set_gains(const std::vector<std::array<double, 3>>& gains) { vdbcarve::set_gains(views_, gains); }
 
     /// The points' colours, and how many have each view as their first choice.
     std::vector<PointColor> colors_of(const std::vector<SurfacePoint>& points, std::vector<size_t>& voxels_of_view) {
         std::vector<PointColor> out(points.size());
         const auto keep = static_cast<size_t>(kernel::kept_candidates(rule_));
-        const bool at_once = batch_ >= inputs_.size();
+        const bool at_once = batches_.all_at_once();
         std::vector<Candidate> found(at_once ? 0 : points.size() * keep);
         std::vector<uint8_t> counts(at_once ? 0 : points.size(), 0);
         std::vector<uint16_t> first_choice(points.size(), UINT16_MAX);
@@ -157,12 +153,7 @@ class Colorist {
     /// Calls work(first, last) with the photographs and fields of those views in place.
     template <class Work>
     void for_batches(const Work& work) {
-        for (size_t first = 0; first < inputs_.size(); first += batch_) {
-            const size_t last = std::min(inputs_.size(), first + batch_);
-            progress_.check();
-            if (!(held_ && batch_ >= inputs_.size())) load(first, last);
-            work(first, last);
-        }
+        batches_.each(progress_, [&](size_t first, size_t last) { load(first, last); }, work);
     }
 
     void load(size_t first, size_t last) {
@@ -194,7 +185,6 @@ class Colorist {
             view.channels = photo.channels();
             view.linear = linear_table(photo.pixels8.empty()).data();
         }
-        held_ = true;
         photo_ms_ += std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     }
 
@@ -203,11 +193,10 @@ class Colorist {
     Progress& progress_;
     kernel::ColorRule rule_;
     kernel::SightGrid sight_;
-    size_t batch_;
+    ViewBatches batches_;
     std::vector<ColorView> views_;
     std::vector<Photo> photos_;
     std::vector<DistanceField> fields_;
-    bool held_ = false;
     double photo_ms_ = 0;
 };
 
@@ -282,15 +271,11 @@ ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<Co
     const std::vector<SurfacePoint> points = points_of(volume, contour, static_cast<float>(surface.voxelSize()[0]), options.normal_radius_vox);
     lap("contour and normals");
     Colorist colorist(surface, volume, inputs, photos, options, progress);
-    out.exposure.gains.assign(inputs.size(), {1, 1, 1});
-    out.exposure.places.assign(inputs.size(), 0);
-    if (!options.gains.empty()) {
-        out.exposure.gains = options.gains;
-    } else if (options.exposure) {
+    out.exposure = choose_exposure(options, inputs.size(), [&] {
         std::vector<SurfacePoint> places;
         for (const uint32_t n : exposure_places(contour.size())) places.push_back(points[n]);
-        out.exposure = estimate_exposure(colorist.observe(places), options.exposure_options);
-    }
+        return colorist.observe(places);
+    });
     colorist.set_gains(out.exposure.gains);
     const double photo_ms = colorist.milliseconds_of_photos();
     lap("exposure", photo_ms);
@@ -364,20 +349,13 @@ ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vecto
 size_t color_vertices(Mesh& mesh, const openvdb::Vec3SGrid& color) {
     mesh.colors.assign(mesh.vertices.size(), {0, 0, 0});
     std::atomic<size_t> missed{0};
-    const openvdb::math::Transform& transform = color.transform();
     for_ranges(mesh.vertices.size(), 4096, [&](const tbb::blocked_range<size_t>& range) {
-        const openvdb::Vec3SGrid::ConstAccessor accessor = color.getConstAccessor();
-        const auto read = [&](int i, int j, int k, Rgb& out) {
-            openvdb::Vec3s v;
-            if (!accessor.probeValue(openvdb::Coord(i, j, k), v)) return false;
-            out = {v[0], v[1], v[2]};
-            return true;
-        };
+        const ColorReader reader(color);
         for (size_t n = range.begin(); n < range.end(); ++n) {
             const auto& v = mesh.vertices[n];
-            const openvdb::Vec3d p = transform.worldToIndex(openvdb::Vec3d(v[0], v[1], v[2]));
+            const openvdb::Vec3d p = reader.index_of(Vec3d(v[0], v[1], v[2]));
             Rgb c;
-            bool found = kernel::interpolate_color(read, p[0], p[1], p[2], c);
+            bool found = reader.interpolate(p, c);
             if (!found) {
                 double nearest = 16.0 + 1e-9;
                 const openvdb::Coord centre = openvdb::Coord::round(p);
@@ -386,7 +364,7 @@ size_t color_vertices(Mesh& mesh, const openvdb::Vec3SGrid& color) {
                         for (int k = -4; k <= 4; ++k) {
                             const openvdb::Coord at = centre.offsetBy(i, j, k);
                             const double d2 = (at.asVec3d() - p).lengthSqr();
-                            if (d2 < nearest && read(at[0], at[1], at[2], c)) {
+                            if (d2 < nearest && reader.voxel(at[0], at[1], at[2], c)) {
                                 nearest = d2;
                                 found = true;
                             }

@@ -20,7 +20,8 @@ void check_color(const openvdb::FloatGrid& surface, const std::vector<ColorInput
     if (surface.tree().leafCount() == 0) throw InputError("color: the volume has no surface");
     if (surface.tree().leafCount() > UINT32_MAX / kLeafVoxels) throw InputError("color: more than 2^32 voxels in leaves. Remedy: a lower --resolution");
     if (surface.background() > 100.5 * surface.voxelSize()[0]) throw InputError("color: grid '" + surface.getName() + "' has a band of more than 100 voxels");
-    if (leaf_box(surface).dim()[leaf_box(surface).maxExtent()] >= kernel::kMortonBias - 8192) throw InputError("color: grid '" + surface.getName() + "' is more than 10^6 voxels wide");
+    const openvdb::CoordBBox box = leaf_box(surface);
+    if (box.dim()[box.maxExtent()] >= kernel::kMortonBias - 8192) throw InputError("color: grid '" + surface.getName() + "' is more than 10^6 voxels wide");
     if (o.mode == ColorMode::None) throw UsageError("color: no mode");
     if (o.depth_vox < 1 || o.depth_vox > 1000) throw UsageError("color: the depth is " + std::to_string(o.depth_vox) + " layers, must be 1..1000");
     if (o.normal_radius_vox < 0 || o.normal_radius_vox > kMaxNormalRadius_vox)
@@ -85,7 +86,7 @@ DistanceOptions margin_fields() {
     return o;
 }
 
-kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const kernel::ColorBase& base, const std::array<double, 3>& gain) {
+kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const kernel::ColorBase& base) {
     const Intrinsics& k = input.camera.intrinsics;
     const Rigid3& pose = input.camera.camera_from_world;
     const kernel::LatticeFrame frame = lattice_frame(transform);
@@ -108,7 +109,7 @@ kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::
     v.height = static_cast<float>(k.height_px);
     v.near_depth = kernel::kNearPlane_vox * static_cast<float>(h);
     v.voxel_px = static_cast<float>(std::sqrt(k.fx * k.fy) * h);
-    for (size_t c = 0; c < 3; ++c) v.gain[c] = static_cast<float>(gain[c]);
+    for (float& g : v.gain) g = 1;
     if (!input.use) v.width = v.height = -1;  // nothing is in frame
     return v;
 }
@@ -152,6 +153,20 @@ std::vector<uint32_t> exposure_places(size_t contour_count) {
     std::vector<uint32_t> out;
     for (size_t n = every / 2; n < contour_count; n += every) out.push_back(static_cast<uint32_t>(n));
     return out;
+}
+
+Exposure choose_exposure(const ColorOptions& options, size_t views, const std::function<Observations()>& observe) {
+    if (options.gains.empty() && options.exposure) return estimate_exposure(observe(), options.exposure_options);
+    Exposure out;
+    out.gains = options.gains;
+    if (out.gains.empty()) out.gains.assign(views, {1, 1, 1});
+    out.places.assign(views, 0);
+    return out;
+}
+
+void set_gains(std::vector<kernel::ColorView>& views, const std::vector<std::array<double, 3>>& gains) {
+    for (size_t v = 0; v < views.size(); ++v)
+        for (size_t c = 0; c < 3; ++c) views[v].gain[c] = static_cast<float>(gains[v][c]);
 }
 
 int spread_passes(const openvdb::FloatGrid& surface) {

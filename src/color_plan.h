@@ -35,8 +35,8 @@ class SampledMasks {
 /// Fields of those masks.
 DistanceOptions margin_fields();
 
-/// A view on the surface's lattice, without pixels and field. Its weight is 0 everywhere where the view cannot be used.
-kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const kernel::ColorBase& base, const std::array<double, 3>& gain);
+/// A view on the surface's lattice, without pixels and field, with a gain of 1. Its weight is 0 everywhere where the view cannot be used.
+kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const kernel::ColorBase& base);
 /// Throws InputError where the photograph does not fit its camera.
 void check_photo(const ColorInput& input, const PhotoView& photo);
 
@@ -51,6 +51,55 @@ openvdb::CoordBBox leaf_box(const openvdb::FloatGrid& surface);
 /// At most kExposurePlaces voxels of the contour, spread evenly.
 inline constexpr size_t kExposurePlaces = 8192;
 std::vector<uint32_t> exposure_places(size_t contour_count);
+
+/// The exposures to colour with: options.gains, or what observe() says of exposure_places(), or gains of 1.
+Exposure choose_exposure(const ColorOptions& options, size_t views, const std::function<Observations()>& observe);
+void set_gains(std::vector<kernel::ColorView>& views, const std::vector<std::array<double, 3>>& gains);
+
+/// Goes through views batch by batch, loading each; where one batch holds all, it is loaded once and stays.
+class ViewBatches {
+  public:
+    /// `batch` 0: all at once.
+    ViewBatches(size_t views, size_t batch) : views_(views), batch_(batch ? std::min(batch, views) : views) {}
+    bool all_at_once() const { return batch_ >= views_; }
+    /// Calls load(first, last), then work(first, last).
+    template <class Load, class Work>
+    void each(const Progress& progress, const Load& load, const Work& work) {
+        for (size_t first = 0; first < views_; first += batch_) {
+            progress.check();
+            const size_t last = std::min(views_, first + batch_);
+            if (!(held_ && all_at_once())) load(first, last);
+            held_ = true;
+            work(first, last);
+        }
+    }
+
+  private:
+    size_t views_, batch_;
+    bool held_ = false;
+};
+
+/// A colour grid to be interpolated in. Not for several threads at once.
+class ColorReader {
+  public:
+    explicit ColorReader(const openvdb::Vec3SGrid& color) : transform_(color.transform()), accessor_(color.getConstAccessor()) {}
+    openvdb::Vec3d index_of(const Vec3d& world) const { return transform_.worldToIndex(openvdb::Vec3d(world.x(), world.y(), world.z())); }
+    /// False where the voxel has no colour.
+    bool voxel(int i, int j, int k, kernel::Rgb& out) const {
+        openvdb::Vec3s v;
+        if (!accessor_.probeValue(openvdb::Coord(i, j, k), v)) return false;
+        out = {v[0], v[1], v[2]};
+        return true;
+    }
+    /// Trilinear; false where no voxel around has a colour.
+    bool interpolate(const openvdb::Vec3d& index, kernel::Rgb& out) const {
+        return kernel::interpolate_color([&](int i, int j, int k, kernel::Rgb& c) { return voxel(i, j, k, c); }, index[0], index[1], index[2], out);
+    }
+
+  private:
+    const openvdb::math::Transform& transform_;
+    openvdb::Vec3SGrid::ConstAccessor accessor_;
+};
 
 /// kernel::SightGrid::walls of a grid in host memory.
 std::vector<uint64_t> sight_walls(const nanovdb::NanoGrid<float>& grid, float threshold);

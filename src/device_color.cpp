@@ -40,7 +40,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     check_color(surface, inputs, options);
     const Parts::Volume& volume = p.need(p.surface, "level set");
     const kernel::ColorRule rule = color_rule(options, leaf_box(surface));
-    const size_t batch = options.batch ? std::min(options.batch, inputs.size()) : inputs.size();
+    ViewBatches batches(inputs.size(), options.batch);
     ColorResult out;
     out.backend_used = "cuda";
 
@@ -49,8 +49,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     if (p.color.find_contour(volume.grid, base, options.normal_radius_vox, normal_weights(options.normal_radius_vox), p.stream, p.times) == 0) explain_unseen(inputs);
     progress.step();
     std::vector<kernel::ColorView> views;
-    for (const ColorInput& input : inputs) views.push_back(make_color_view(input, surface.transform(), base, {1, 1, 1}));
-    bool held = false;
+    for (const ColorInput& input : inputs) views.push_back(make_color_view(input, surface.transform(), base));
     std::vector<Photo> photos;
     PhotoUpload upload(p.stream);
     const auto load = [&](size_t first, size_t last) {
@@ -90,23 +89,15 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
         });
         for (size_t v = first; v < last; ++v)
             if (!views[v].texels8 && !views[v].texels16) views[v].width = views[v].height = -1;
-        held = true;
     };
     const auto for_batches = [&](const auto& work) {
-        for (size_t first = 0; first < inputs.size(); first += batch) {
-            progress.check();
-            const size_t last = std::min(inputs.size(), first + batch);
-            if (!(held && batch >= inputs.size())) load(first, last);
+        batches.each(progress, load, [&](size_t first, size_t last) {
             work(first, std::vector<kernel::ColorView>(views.begin() + static_cast<long>(first), views.begin() + static_cast<long>(last)));
-        }
+        });
     };
 
     std::vector<uint32_t> contour(p.color.contour_count());
-    out.exposure.gains.assign(inputs.size(), {1, 1, 1});
-    out.exposure.places.assign(inputs.size(), 0);
-    if (!options.gains.empty()) {
-        out.exposure.gains = options.gains;
-    } else if (options.exposure) {
+    out.exposure = choose_exposure(options, inputs.size(), [&] {
         const std::vector<uint32_t> places = exposure_places(contour.size());
         Observations all;
         all.views = inputs.size();
@@ -116,10 +107,9 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
             p.color.observe(some, rule, places, part, p.stream, p.times);
             for (size_t n = 0; n < places.size(); ++n) std::copy_n(part.begin() + static_cast<long>(n * some.size()), some.size(), all.table.begin() + static_cast<long>(n * all.views + first));
         });
-        out.exposure = estimate_exposure(all, options.exposure_options);
-    }
-    for (size_t v = 0; v < views.size(); ++v)
-        for (size_t c = 0; c < 3; ++c) views[v].gain[c] = static_cast<float>(out.exposure.gains[v][c]);
+        return all;
+    });
+    set_gains(views, out.exposure.gains);
     progress.step();
     for_batches([&](size_t first, const std::vector<kernel::ColorView>& some) { p.color.find_views(some, static_cast<int>(first), rule, p.stream, p.times); });
     if (p.color.decide(views, rule, p.stream, p.times) == 0) explain_unseen(inputs);

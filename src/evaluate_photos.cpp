@@ -4,11 +4,11 @@
 #include <set>
 
 #include "atomic_file.h"
+#include "color_plan.h"
 #include "io_image.h"
 #include "vdbcarve/color.h"
 #include "vdbcarve/evaluate.h"
 #include "vdbcarve/export.h"
-#include "vdbcarve/kernel/color.h"
 #include "vdbcarve/pipeline.h"
 
 namespace vdbcarve {
@@ -63,17 +63,9 @@ std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views
     }
     std::function<std::array<float, 3>(const Vec3d&)> color_at;
     if (volume)
-        color_at = [&volume, accessor = volume->getConstAccessor()](const Vec3d& p) {
-            const openvdb::Vec3d at = volume->transform().worldToIndex(openvdb::Vec3d(p.x(), p.y(), p.z()));
+        color_at = [reader = ColorReader(*volume)](const Vec3d& p) {
             kernel::Rgb c{0.f, 0.f, 0.f};
-            kernel::interpolate_color(
-                [&](int i, int j, int k, kernel::Rgb& out) {
-                    openvdb::Vec3s v;
-                    if (!accessor.probeValue(openvdb::Coord(i, j, k), v)) return false;
-                    out = {v[0], v[1], v[2]};
-                    return true;
-                },
-                at[0], at[1], at[2], c);
+            reader.interpolate(reader.index_of(p), c);
             return std::array<float, 3>{c.r, c.g, c.b};
         };
     const std::set<std::string> left_out = options.result.empty() ? std::set<std::string>() : left_out_of(options.result, progress);

@@ -130,6 +130,16 @@ class Job {
         }
     }
 
+    /// Warnings since there were so many, to be kept in a stage's note; and said again when the stage is found done.
+    std::vector<std::string> warnings_since(size_t before) const {
+        std::vector<std::string> all = progress_.warnings();
+        all.erase(all.begin(), all.begin() + static_cast<long>(before));
+        return all;
+    }
+    void warn_again(const json& note) {
+        for (const std::string& w : note["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+    }
+
     void check_options() {
         backend_ = choose_backend(o_.backend, o_.device);
         if (o_.backend == Backend::Auto && backend_ == Backend::Cpu && o_.device != 0) progress_.warn("--device " + std::to_string(o_.device) + " means nothing here: " + why_no_cuda());
@@ -248,11 +258,10 @@ class Job {
                 if (fs::exists(stored / (stem + ".png"))) masks_.masks[i].coverage = io::read_image8(stored / (stem + ".png"));
                 if (fs::exists(stored / (stem + "_ignore.png"))) masks_.masks[i].ignore = io::read_image8(stored / (stem + "_ignore.png"));
             });
-            for (const std::string& w : note["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+            warn_again(note);
         } else {
             const size_t warnings_before = progress_.warnings().size();
             masks_ = make_masks(views_, o_.views.scene, o_.mask, edited, progress_);
-            const std::vector<std::string> all = progress_.warnings();
             if (!o_.dry_run) {
                 const fs::path part = o_.output / "stages" / ".masks.part";
                 fs::remove_all(part);
@@ -273,7 +282,7 @@ class Job {
                 const json note{{"origins", masks_.origins},
                                 {"files", files},
                                 {"left_out", masks_.left_out},
-                                {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}};
+                                {"warnings", warnings_since(warnings_before)}};
                 write_file(part / "masks.json", note.dump(1) + "\n");
                 fs::remove_all(stored);
                 fs::rename(part, stored);
@@ -680,7 +689,7 @@ class Job {
             const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"});
             report_["grid"] = (*note)["grid"];
             backend_used_ = (*note)["backend"];
-            for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+            warn_again(*note);
             return true;
         }
         CarveResult result;
@@ -702,8 +711,7 @@ class Job {
         fields_.clear();
         inputs_.clear();
         if (bricks_ == 1) write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
-        const std::vector<std::string> all = progress_.warnings();
-        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before_grid_), all.end())}};
+        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)}};
         write_file(hull_json(), note.dump(1) + "\n");
         return false;
     }
@@ -844,7 +852,7 @@ class Job {
                 color_views_ = (*note)["views"];
                 for (const auto& [name, said] : color_views_.items())
                     if (!said["color_used"].get<bool>()) missing_photos_.insert(name);  // named by the note's warnings
-                for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+                warn_again(*note);
                 return true;
             }
         }
@@ -886,8 +894,7 @@ class Job {
         if (of_surface(s.synthesised) > 0.25)
             progress_.warn(std::to_string(std::lround(100 * of_surface(s.synthesised))) + " % of the surface is seen by no photograph (6 degrees or more above it, 3 px inside its mask): its colour is made up from around it");
         write_vdb(file, {color_, views_grid_, confidence_grid_}, metadata());
-        const std::vector<std::string> all = progress_.warnings();
-        write_file(note_file, json{{"color", report_["color"]}, {"views", color_views_}, {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}}.dump(1) + "\n");
+        write_file(note_file, json{{"color", report_["color"]}, {"views", color_views_}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
         return false;
     }
 
@@ -916,7 +923,7 @@ class Job {
             mesh_ = read_mesh(file);
             if (const auto note = stage_note(note_file, {"vertices_seen_share", "warnings"})) {
                 if (!(*note)["vertices_seen_share"].is_null()) report_["color"]["vertices_seen_share"] = (*note)["vertices_seen_share"];
-                for (const std::string& w : (*note)["warnings"].get<std::vector<std::string>>()) progress_.warn(w);
+                warn_again(*note);
             }
         } else {
             const size_t warnings_before = progress_.warnings().size();
@@ -932,10 +939,9 @@ class Job {
             });
             if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
             color_mesh();
-            const std::vector<std::string> all = progress_.warnings();
             const bool direct = o_.color_from_photos && color_;
             write_file(note_file, json{{"vertices_seen_share", direct ? report_["color"]["vertices_seen_share"] : json()},
-                                       {"warnings", std::vector<std::string>(all.begin() + static_cast<long>(warnings_before), all.end())}}.dump(1) + "\n");
+                                       {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
             write_mesh(file, mesh_);
         }
         measures_ = measure(mesh_);

@@ -300,15 +300,6 @@ TEST(Exposure, ViewsThatShareNothingKeepAGainOfOne) {
 
 // ------------------------------------------------------------------------------------ the stage
 
-void expect_same_result(const ColorResult& a, const ColorResult& b) {
-    expect_same(*a.color, *b.color);
-    expect_same(*a.views, *b.views);
-    expect_same(*a.confidence, *b.confidence);
-    EXPECT_EQ(a.exposure.gains, b.exposure.gains);
-    EXPECT_EQ(a.statistics.colored, b.statistics.colored);
-    EXPECT_EQ(a.statistics.voxels_of_view, b.statistics.voxels_of_view);
-}
-
 TEST(Color, SameBitsForAnyNumberOfThreadsAndAnyBatch) {
     SyntheticSpec spec = small_spec("cup", 14, 320, 240);
     spec.look.exposure_jitter = 0.2;
@@ -321,7 +312,7 @@ TEST(Color, SameBitsForAnyNumberOfThreadsAndAnyBatch) {
         EXPECT_GT(all.statistics.colored, 1000u);
         {
             const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
-            expect_same_result(color(*s.surface, s.inputs, options, quiet), all);
+            expect_same_colors(color(*s.surface, s.inputs, options, quiet), all);
         }
         for (const size_t batch : {1, 5, 13}) {
             options.batch = batch;
@@ -330,7 +321,7 @@ TEST(Color, SameBitsForAnyNumberOfThreadsAndAnyBatch) {
                 most = std::max(most, last - first);
                 return std::vector<Photo>(s.photos.begin() + static_cast<long>(first), s.photos.begin() + static_cast<long>(last));
             };
-            expect_same_result(color_in_batches(*s.surface, s.inputs, source, options, quiet), all);
+            expect_same_colors(color_in_batches(*s.surface, s.inputs, source, options, quiet), all);
             EXPECT_EQ(most, batch);
         }
     }
@@ -508,23 +499,15 @@ TEST_P(ColorQuality, IsTheObjects) {
     spec.look.exposure_jitter = c.jitter;
     spec.rig.motion = c.motion;
     const ColorScene s = color_scene(spec, 192);
-    Progress quiet;
-    for (const ColorMode mode : {ColorMode::Best, ColorMode::Blend}) {
-        ColorOptions options;
-        options.mode = mode;
-        const ColorResult r = color(*s.surface, s.inputs, options, quiet);
-        const ColorVerdict v = judge(s, r);
-        std::printf("%s\n", line_of(std::string(c.name) + (mode == ColorMode::Best ? ", best" : ", blend"), v, r).c_str());
-        EXPECT_GE(v.inside_share(), 0.98);
-        EXPECT_GE(v.share(), 0.96);
+    judge_both_modes(s, c.name, [&](const ColorResult& r, const ColorVerdict& v) {
         EXPECT_LT(v.median, c.median);
         EXPECT_LT(v.p95, c.p95);
         EXPECT_LT(v.wrong, 0.005);
-        if (c.motion == Rig::Motion::Turntable) continue;
+        if (c.motion == Rig::Motion::Turntable) return;
         double mean = 0;
         for (const double e : s.scene.exposures) mean += std::log(e) / static_cast<double>(s.scene.exposures.size());
         for (size_t i = 0; i < s.scene.exposures.size(); ++i) EXPECT_NEAR(r.exposure.gains[i][0] * s.scene.exposures[i] / std::exp(mean), 1, 0.02) << i;
-    }
+    });
 }
 
 INSTANTIATE_TEST_SUITE_P(Shoots, ColorQuality,

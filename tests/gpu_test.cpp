@@ -371,13 +371,7 @@ TEST_P(GpuColor, EqualsTheCpus) {
     const ColorResult cpu = run(Backend::Cpu);
     const auto expect_equal = [&](const ColorResult& gpu) {
         EXPECT_EQ(gpu.backend_used, "cuda");
-        expect_same(*cpu.color, *gpu.color);
-        expect_same(*cpu.views, *gpu.views);
-        expect_same(*cpu.confidence, *gpu.confidence);
-        EXPECT_EQ(cpu.exposure.gains, gpu.exposure.gains);
-        EXPECT_EQ(cpu.statistics.colored, gpu.statistics.colored);
-        EXPECT_EQ(cpu.statistics.surface_voxels, gpu.statistics.surface_voxels);
-        EXPECT_EQ(cpu.statistics.voxels_of_view, gpu.statistics.voxels_of_view);
+        expect_same_colors(cpu, gpu);
     };
     expect_equal(run(Backend::Cuda));
     // Twice on the same buffers.
@@ -447,10 +441,7 @@ TEST_F(Gpu, PackedScenesEqualTheCpus) {
                 c.mode = mode;
                 const ColorResult cpu = color(*surface, scene.color_inputs(), c, quiet_);
                 const ColorResult gpu = device.color(*surface, scene.color_inputs(), {}, c, quiet_);
-                expect_same(*cpu.color, *gpu.color);
-                expect_same(*cpu.views, *gpu.views);
-                expect_same(*cpu.confidence, *gpu.confidence);
-                EXPECT_EQ(cpu.exposure.gains, gpu.exposure.gains);
+                expect_same_colors(cpu, gpu);
                 std::printf("%s: %zu of %zu voxels of the contour seen\n", entry.path().filename().c_str(), cpu.statistics.colored, cpu.statistics.surface_voxels);
             }
         const MeshMeasures m = measure(mesh);

@@ -77,18 +77,10 @@ TEST_P(Textured, ComesBackWithItsColours) {
     spec.rig.width_px = 1024;
     spec.rig.height_px = 768;
     const ColorScene s = color_scene(spec, 192);
-    Progress quiet;
-    for (const ColorMode mode : {ColorMode::Best, ColorMode::Blend}) {
-        ColorOptions options;
-        options.mode = mode;
-        const ColorResult r = color(*s.surface, s.inputs, options, quiet);
-        const ColorVerdict v = judge(s, r);
-        std::printf("%s\n", line_of(mesh.stem().string() + (mode == ColorMode::Best ? ", best" : ", blend"), v, r).c_str());
-        EXPECT_GE(v.inside_share(), 0.98);
-        EXPECT_GE(v.share(), 0.96);
+    judge_both_modes(s, mesh.stem().string(), [](const ColorResult&, const ColorVerdict& v) {
         EXPECT_LT(v.median, 2);
         EXPECT_LT(v.p95, 8);
-    }
+    });
 }
 
 INSTANTIATE_TEST_SUITE_P(Models, Textured, testing::Values(TexturedModel{"spot_triangulated.obj", "spot_texture.png"}, TexturedModel{"bob_tri.obj", "bob_diffuse.png"}));

@@ -4,6 +4,7 @@
 #include <tbb/parallel_for.h>
 
 #include "statistics.h"
+#include "support/same_grid.h"
 #include "triangle_tree.h"
 
 namespace vdbcarve::test {
@@ -74,6 +75,30 @@ std::string line_of(const std::string& name, const ColorVerdict& v, const ColorR
     std::snprintf(text, sizeof text, "| %s | %.2f %% | %.2f %% of %zu | %.2f | %.2f | %.3f %% | %.4f -> %.4f | %.1f %% |", name.c_str(), 100 * v.inside_share(), 100 * v.share(), v.visible, v.median, v.p95, 100 * v.wrong, r.exposure.disagreement_before,
                   r.exposure.disagreement, 100.0 * static_cast<double>(r.statistics.synthesised) / static_cast<double>(r.statistics.surface_voxels));
     return text;
+}
+
+void judge_both_modes(const ColorScene& s, const std::string& name, const std::function<void(const ColorResult&, const ColorVerdict&)>& check) {
+    Progress quiet;
+    for (const ColorMode mode : {ColorMode::Best, ColorMode::Blend}) {
+        ColorOptions options;
+        options.mode = mode;
+        const ColorResult r = color(*s.surface, s.inputs, options, quiet);
+        const ColorVerdict v = judge(s, r);
+        std::printf("%s\n", line_of(name + (mode == ColorMode::Best ? ", best" : ", blend"), v, r).c_str());
+        EXPECT_GE(v.inside_share(), 0.98);
+        EXPECT_GE(v.share(), 0.96);
+        check(r, v);
+    }
+}
+
+void expect_same_colors(const ColorResult& a, const ColorResult& b) {
+    expect_same(*a.color, *b.color);
+    expect_same(*a.views, *b.views);
+    expect_same(*a.confidence, *b.confidence);
+    EXPECT_EQ(a.exposure.gains, b.exposure.gains);
+    EXPECT_EQ(a.statistics.surface_voxels, b.statistics.surface_voxels);
+    EXPECT_EQ(a.statistics.colored, b.statistics.colored);
+    EXPECT_EQ(a.statistics.voxels_of_view, b.statistics.voxels_of_view);
 }
 
 }  // namespace vdbcarve::test
