@@ -78,6 +78,11 @@ class Topology {
     void cover_like(const Topology& other, const Stream& stream);
     /// Counts leaves block by block; what TopologyView::leaf_number needs, and build().
     void number_leaves(const Stream& stream);
+    /// Leaves numbered. Waits for the device.
+    uint32_t leaf_count(const Stream& stream) const {
+        stream.wait();
+        return counts_.data()[0];
+    }
 
     TopologyView view() const;
     const std::vector<std::array<int, 3>>& origins() const { return origins_; }

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "vdbcarve/kernel/carve.h"
+#include "vdbcarve/kernel/filter.h"
 #include "vdbcarve/kernel/level_set.h"
 
 namespace vdbcarve::cuda {
@@ -101,14 +102,15 @@ __global__ void __launch_bounds__(kThreads) redistance(const float* from, float*
 }
 
 /// Signs and world units again; which leaves hold some of the band.
-__global__ void __launch_bounds__(kLeafVoxels) finish(const Grid::Leaf* hull, float* distances, const uint32_t* keys, float band_vox, float voxel, TopologyView surface, uint64_t* active) {
+__global__ void __launch_bounds__(kLeafVoxels) finish_leaves(const Grid::Leaf* hull, float* distances, const uint32_t* keys, float half_width_vox, float offset_vox, float voxel, TopologyView surface, uint64_t* active) {
     const uint32_t leaf = blockIdx.x, key = keys[leaf];
     const int t = threadIdx.x;
     const size_t at = static_cast<size_t>(leaf) * kLeafVoxels + t;
-    const float d = fabsf(distances[at]), v = d >= band_vox ? band_vox * voxel : d * voxel;
-    const bool inside = hull[leaf].data()->mValues[t] < 0.f;
-    distances[at] = inside ? -v : v;
-    const unsigned word = __ballot_sync(~0u, d < band_vox);
+    const BandVoxel v = band_voxel(fabsf(distances[at]), hull[leaf].data()->mValues[t] < 0.f, offset_vox, half_width_vox);
+    const bool inside = v.distance_vox < 0.f;
+    const float band = half_width_vox * voxel;
+    distances[at] = v.active ? v.distance_vox * voxel : inside ? -band : band;
+    const unsigned word = __ballot_sync(~0u, v.active);
     if (t % 32 == 0) reinterpret_cast<uint32_t*>(active)[static_cast<size_t>(leaf) * 16 + t / 32] = word;
     const bool any = __syncthreads_or(word != 0);
     if (t == 0) {
@@ -117,9 +119,31 @@ __global__ void __launch_bounds__(kLeafVoxels) finish(const Grid::Leaf* hull, fl
     }
 }
 
+__device__ void add_up(unsigned long long value, unsigned long long* sum) {
+    for (int d = 16; d > 0; d /= 2) value += __shfl_down_sync(~0u, value, d);
+    if (threadIdx.x % 32 == 0 && value) atomicAdd(sum, value);
+}
+
+__global__ void __launch_bounds__(kLeafVoxels) measure_moved(const Grid::Leaf* hull, const float* distances, float offset_vox, unsigned long long* sums) {
+    const size_t at = static_cast<size_t>(blockIdx.x) * kLeafVoxels + threadIdx.x;
+    const float d = fabsf(distances[at]), moved = (hull[blockIdx.x].data()->mValues[threadIdx.x] < 0.f ? -d : d) - offset_vox;
+    add_up(static_cast<unsigned long long>(filled_units(moved)), sums);
+    add_up(fabsf(moved) < 0.5f, sums + 1);
+}
+
+__global__ void __launch_bounds__(kLeafVoxels) measure_leaves(const Grid::Leaf* leaves, float voxel, unsigned long long* sum) {
+    add_up(static_cast<unsigned long long>(filled_units(leaves[blockIdx.x].data()->mValues[threadIdx.x] / voxel)), sum);
+}
+
+/// Voxels of leaves that are inside whole.
+__global__ void measure_inside(TopologyView topology, unsigned long long* sum) {
+    const int n = blockIdx.x * blockDim.x + threadIdx.x;
+    add_up(n < topology.blocks * kBlockWords ? static_cast<unsigned long long>(__popcll(topology.inside[n])) * kLeafVoxels * static_cast<unsigned long long>(kVolumeUnits) : 0, sum);
+}
+
 }  // namespace
 
-bool LevelSetStage::run(const Grid& hull, const Topology& hull_topology, int half_width_vox, const Stream& stream, StageTimes& times) {
+bool LevelSetStage::solve(const Grid& hull, const Topology& hull_topology, int half_width_vox, const Stream& stream, StageTimes& times) {
     const uint32_t n = hull.leaf_count();
     if (n == 0) return false;
     const size_t voxels = static_cast<size_t>(n) * kLeafVoxels;
@@ -131,10 +155,9 @@ bool LevelSetStage::run(const Grid& hull, const Topology& hull_topology, int hal
     uint8_t* changes = changes_.ensure(n);
     crosses_.ensure(1);
     host_crosses_.ensure(1);
-    const float band_vox = static_cast<float>(half_width_vox), voxel = static_cast<float>(hull.spec().voxel_size);
+    const float band_vox = static_cast<float>(half_width_vox);
     const int passes = level_set_passes(half_width_vox);
     const cudaStream_t s = stream.get();
-    topology_.cover_like(hull_topology, stream);
     times.measure("level_set", stream, [&] {
         stream.zero(crosses_.data(), 1);
         find_neighbours(hull_topology, hull, neighbours_.data(), stream);
@@ -146,16 +169,55 @@ bool LevelSetStage::run(const Grid& hull, const Topology& hull_topology, int hal
             std::swap(from, to);
             std::swap(changed, changes);
         }
-        const TopologyView old_view = hull_topology.view(), new_view = topology_.view();
-        VDBCARVE_CUDA(cudaMemcpyAsync(new_view.inside, old_view.inside, static_cast<size_t>(old_view.blocks) * kBlockWords * sizeof(uint64_t), cudaMemcpyDeviceToDevice, s));
-        finish<<<n, kLeafVoxels, 0, s>>>(hull.leaves(), from, hull.keys(), band_vox, voxel, new_view, active_.data());
-        VDBCARVE_LAUNCHED();
         values_ = from;
-        topology_.number_leaves(stream);
         stream.to_host(host_crosses_.data(), crosses_.data(), 1);
     });
     stream.wait();
     return host_crosses_[0] != 0;
+}
+
+LevelSetStage::Volume LevelSetStage::finish_sums(const Topology& topology, const Stream& stream) {
+    const TopologyView view = topology.view();
+    measure_inside<<<blocks_for(static_cast<size_t>(view.blocks) * kBlockWords, 256), 256, 0, stream.get()>>>(view, sums_.data());
+    VDBCARVE_LAUNCHED();
+    stream.to_host(host_sums_.ensure(2), sums_.data(), 2);
+    stream.wait();
+    return {static_cast<int64_t>(host_sums_[0]), static_cast<int64_t>(host_sums_[1])};
+}
+
+LevelSetStage::Volume LevelSetStage::volume(const Grid& hull, const Topology& hull_topology, float offset_vox, const Stream& stream, StageTimes& times) {
+    Volume out{};
+    times.measure("level_set", stream, [&] {
+        stream.zero(sums_.ensure(2), 2);
+        measure_moved<<<hull.leaf_count(), kLeafVoxels, 0, stream.get()>>>(hull.leaves(), values_, offset_vox, sums_.data());
+        VDBCARVE_LAUNCHED();
+        out = finish_sums(hull_topology, stream);
+    });
+    return out;
+}
+
+int64_t LevelSetStage::volume_of(const Grid& surface, const Topology& topology, const Stream& stream, StageTimes& times) {
+    Volume out{};
+    times.measure("filter: prepare", stream, [&] {
+        stream.zero(sums_.ensure(2), 2);
+        measure_leaves<<<surface.leaf_count(), kLeafVoxels, 0, stream.get()>>>(surface.leaves(), static_cast<float>(surface.spec().voxel_size), sums_.data());
+        VDBCARVE_LAUNCHED();
+        out = finish_sums(topology, stream);
+    });
+    return out.units;
+}
+
+void LevelSetStage::finish(const Grid& hull, const Topology& hull_topology, int half_width_vox, float offset_vox, const Stream& stream, StageTimes& times) {
+    const cudaStream_t s = stream.get();
+    topology_.cover_like(hull_topology, stream);
+    times.measure("level_set", stream, [&] {
+        const TopologyView old_view = hull_topology.view(), new_view = topology_.view();
+        VDBCARVE_CUDA(cudaMemcpyAsync(new_view.inside, old_view.inside, static_cast<size_t>(old_view.blocks) * kBlockWords * sizeof(uint64_t), cudaMemcpyDeviceToDevice, s));
+        finish_leaves<<<hull.leaf_count(), kLeafVoxels, 0, s>>>(hull.leaves(), values_, hull.keys(), static_cast<float>(half_width_vox), offset_vox, static_cast<float>(hull.spec().voxel_size), new_view,
+                                                               active_.data());
+        VDBCARVE_LAUNCHED();
+        topology_.number_leaves(stream);
+    });
 }
 
 }  // namespace vdbcarve::cuda

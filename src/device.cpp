@@ -14,6 +14,7 @@
 #include "carve_plan.h"
 #include "dense_device.h"
 #include "field_plan.h"
+#include "filter_plan.h"
 #include "marching_cubes.h"
 #include "nanovdb_bytes.h"
 #include "same_transform.h"
@@ -62,6 +63,7 @@ void DevicePipeline::level_set(const LevelSetOptions&) { absent(); }
 openvdb::FloatGrid::Ptr DevicePipeline::surface() const { absent(); }
 void DevicePipeline::set_surface(const openvdb::FloatGrid&) { absent(); }
 ColorResult DevicePipeline::color(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const ColorOptions&, Progress&) { absent(); }
+FilterResult DevicePipeline::filter(const FilterOptions&, Progress&) { absent(); }
 bool DevicePipeline::extract_mesh(bool) { absent(); }
 NanoBuffer DevicePipeline::hull_nanovdb() const { absent(); }
 NanoBuffer DevicePipeline::surface_nanovdb() const { absent(); }
@@ -470,12 +472,47 @@ void DevicePipeline::level_set(const LevelSetOptions& options) {
         throw UsageError("level_set: half-width is " + std::to_string(options.half_width_vox) + " voxels, must be 2..100");
     p.need(p.hull, "hull");
     p.surface.topology = nullptr;
-    if (!p.level_set.run(p.hull.grid, *p.hull.topology, options.half_width_vox, p.stream, p.times)) throw InputError("level_set: the hull has no zero crossing");
     p.surface.transform = p.hull.transform;
-    const float band = static_cast<float>(options.half_width_vox) * static_cast<float>(p.hull.transform->voxelSize()[0]);
-    p.times.measure("level_set", p.stream,
-                    [&] { p.surface.grid.build(p.level_set.topology(), Parts::spec_of("surface", *p.surface.transform, band), p.level_set.leaves(p.hull.grid), p.stream); });
-    p.surface.topology = &p.level_set.topology();
+    if (!p.redistance(p.hull.grid, *p.hull.topology, options.half_width_vox, nullptr)) throw InputError("level_set: the hull has no zero crossing");
+}
+
+bool DevicePipeline::Parts::redistance(const cuda::Grid& field, const cuda::Topology& field_topology, int half_width_vox, VolumeRepair* repair) {
+    if (!level_set.solve(field, field_topology, half_width_vox + (repair && repair->move ? 1 : 0), stream, times)) return false;
+    if (repair)
+        repair_volume(*repair, [&](float offset) {
+            const auto v = level_set.volume(field, field_topology, offset, stream, times);
+            return std::pair<int64_t, int64_t>(v.units, v.crossed);
+        });
+    level_set.finish(field, field_topology, half_width_vox, repair ? static_cast<float>(repair->offset_vox) : 0.f, stream, times);
+    const float band = static_cast<float>(half_width_vox) * static_cast<float>(surface.transform->voxelSize()[0]);
+    times.measure("level_set", stream, [&] { surface.grid.build(level_set.topology(), spec_of("surface", *surface.transform, band), level_set.leaves(field), stream); });
+    surface.topology = &level_set.topology();
+    return true;
+}
+
+FilterResult DevicePipeline::filter(const FilterOptions& options, Progress& progress) {
+    Parts& p = *parts_;
+    p.use();
+    const Parts::Volume& volume = p.need(p.surface, "level set");
+    const double voxel = volume.transform->voxelSize()[0];
+    const int half_width = static_cast<int>(std::lround(volume.grid.spec().background / voxel));
+    check_filter(options, half_width);
+    FilterResult out;
+    out.backend_used = "cuda";
+    VolumeRepair repair;
+    repair.move = options.repair_volume;
+    repair.target = p.level_set.volume_of(volume.grid, *volume.topology, p.stream, p.times);
+    progress.begin("filter", 2);
+    const auto thin = options.keep_thin_vox > 0 ? thin_passes(options.keep_thin_vox) : std::vector<kernel::FilterPass>();
+    p.filter.run(volume.grid, *volume.topology, passes_of(options.steps), static_cast<float>(options.keep_thin_vox), thin, static_cast<float>(half_width), p.stream, p.times);
+    progress.step();
+    p.surface.topology = nullptr;
+    if (!p.redistance(p.filter.grid(), p.filter.topology(), half_width, &repair)) explain_filtered_away(options);
+    progress.step();
+    describe_volumes(out, repair, voxel);
+    for (const auto& [name, ms] : p.times.milliseconds())
+        if (name.rfind("filter: ", 0) == 0) out.milliseconds.emplace_back(name.substr(8), ms);
+    return out;
 }
 
 openvdb::FloatGrid::Ptr DevicePipeline::surface() const {
@@ -532,7 +569,7 @@ std::vector<std::pair<std::string, double>> DevicePipeline::milliseconds() const
 void DevicePipeline::clear_times() { parts_->times.clear(); }
 size_t DevicePipeline::bytes() const {
     const Parts& p = *parts_;
-    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.mesh.bytes() + p.color.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
+    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
 }
 size_t DevicePipeline::free_bytes() const {
     parts_->use();

@@ -10,10 +10,12 @@
 #include "../cuda/carve_cuda.h"
 #include "../cuda/color_cuda.h"
 #include "../cuda/distance_cuda.h"
+#include "../cuda/filter_cuda.h"
 #include "../cuda/level_set_cuda.h"
 #include "../cuda/mesh_cuda.h"
 #include "marching_cubes.h"
 #include "nanovdb_bytes.h"
+#include "redistance.h"
 #include "same_transform.h"
 #include "vdbcarve/device.h"
 #include "vdbcarve/error.h"
@@ -87,6 +89,7 @@ struct DevicePipeline::Parts {
     std::vector<CarveInput> carve_inputs;  ///< without fields
     Volume hull, surface;
     cuda::LevelSetStage level_set;
+    cuda::FilterStage filter;
     cuda::MeshStage mesh;
     cuda::ColorStage color;
     cuda::DeviceBuffer<uint8_t> photos;   ///< of a batch
@@ -112,6 +115,8 @@ struct DevicePipeline::Parts {
     }
 
     void upload(Volume& volume, const openvdb::FloatGrid& grid);
+    /// Makes `surface` of a field, with the volume kept where `repair` is given. False when the field has no zero crossing.
+    bool redistance(const cuda::Grid& field, const cuda::Topology& topology, int half_width_vox, VolumeRepair* repair);
 
     static cuda::GridSpec spec_of(const std::string& name, const openvdb::math::Transform& transform, float background) {
         const kernel::LatticeFrame frame = lattice_frame(transform);

@@ -18,12 +18,9 @@ namespace {
 
 json vdb_info(const fs::path& file) {
     json out;
-    openvdb::GridPtrVec grids;
-    if (file.extension() == ".nvdb") {
-        for (const openvdb::FloatGrid::Ptr& grid : read_nvdb(file)) grids.push_back(grid);
-    } else {
-        grids = read_vdb(file);
-    }
+    openvdb::MetaMap metadata;
+    const openvdb::GridPtrVec grids = file.extension() == ".nvdb" ? read_nvdb(file) : read_vdb(file, &metadata);
+    for (auto entry = metadata.beginMeta(); entry != metadata.endMeta(); ++entry) out["metadata"][entry->first] = entry->second->str();
     for (const openvdb::GridBase::Ptr& grid : grids) {
         json g;
         g["name"] = grid->getName();
@@ -36,6 +33,7 @@ json vdb_info(const fs::path& file) {
         g["active_dims"] = {box.dim()[0], box.dim()[1], box.dim()[2]};
         g["active_world_box"] = {lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]};
         g["memory_bytes"] = grid->memUsage();
+        g["half_on_disk"] = grid->saveFloatAsHalf();
         if (auto f = openvdb::gridPtrCast<openvdb::FloatGrid>(grid)) g["background"] = f->background();
         out["grids"].push_back(g);
     }
@@ -52,7 +50,7 @@ json mesh_info(const fs::path& file) {
             hi[a] = std::max(hi[a], v[a]);
         }
     return {{"vertices", m.vertices}, {"faces", m.faces}, {"components", m.components}, {"closed", m.closed}, {"manifold", m.manifold},
-            {"genus", m.genus}, {"volume", m.volume}, {"area", m.area}, {"box", {lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]}}};
+            {"genus", m.genus}, {"volume", m.volume}, {"area", m.area}, {"colors", !mesh.colors.empty()}, {"normals", !mesh.normals.empty()}, {"quads", mesh.quads}, {"box", {lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]}}};
 }
 
 json scene_info(const fs::path& scene, const fs::path& cameras, Progress& progress) {
@@ -92,7 +90,7 @@ std::string info_json(const fs::path& file, Progress& progress) {
         if (out.size() == 1) out["scene"] = scene_info(file, {}, progress);
     } else if (ext == ".vdb" || ext == ".nvdb") {
         out["volume"] = vdb_info(file);
-    } else if (ext == ".ply" || ext == ".obj" || ext == ".stl" || ext == ".off") {
+    } else if (ext == ".ply" || ext == ".obj" || ext == ".stl" || ext == ".off" || ext == ".glb") {
         out["mesh"] = mesh_info(file);
     } else {
         out["scene"] = scene_info(file.parent_path().empty() ? fs::path(".") : file.parent_path(), fs::absolute(file), progress);

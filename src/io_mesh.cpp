@@ -11,6 +11,7 @@
 #include <tbb/parallel_for.h>
 
 #include "atomic_file.h"
+#include "io_gltf.h"
 #include "vdbcarve/color_space.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/triangle_mesh.h"
@@ -32,6 +33,8 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
     OpenMesh::VertexHandle add_vertex() override { return add_vertex(OpenMesh::Vec3f(0, 0, 0)); }
     OpenMesh::FaceHandle add_face(const VHandles& v) override {
         last_face_ = mesh_.triangles.size();
+        if (v.size() == 4) ++mesh_.quads;
+        else mixed_ = mixed_ || mesh_.quads > 0;
         for (size_t i = 2; i < v.size(); ++i)
             mesh_.triangles.push_back({static_cast<uint32_t>(v[0].idx()), static_cast<uint32_t>(v[i - 1].idx()), static_cast<uint32_t>(v[i].idx())});
         return OpenMesh::FaceHandle(static_cast<int>(faces_++));
@@ -88,9 +91,12 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
     size_t n_vertices() const override { return mesh_.vertices.size(); }
     size_t n_faces() const override { return faces_; }
     size_t n_edges() const override { return 0; }
+    /// Quads are known as such only where all of them come last.
+    bool quads_come_last() const { return !mixed_; }
 
   private:
     Mesh& mesh_;
+    bool mixed_ = false;
     size_t faces_ = 0, last_face_ = 0;
     OpenMesh::ArrayKernel kernel_;
 };
@@ -115,62 +121,83 @@ void weld(Mesh& mesh) {
     mesh.vertices = std::move(kept);
 }
 
+/// A quad of the mesh: see Mesh::quads.
+std::array<uint32_t, 4> quad(const Mesh& mesh, size_t number) {
+    const size_t first = mesh.triangles.size() - 2 * (mesh.quads - number);
+    const auto &a = mesh.triangles[first], &b = mesh.triangles[first + 1];
+    return {a[0], a[1], a[2], b[2]};
+}
+size_t loose_triangles(const Mesh& mesh) { return mesh.triangles.size() - 2 * mesh.quads; }
+
 void put(std::string& out, const void* data, size_t bytes) { out.append(static_cast<const char*>(data), bytes); }
 
 std::array<uint8_t, 3> srgb8(const std::array<float, 3>& linear) { return {srgb8_from_linear(linear[0]), srgb8_from_linear(linear[1]), srgb8_from_linear(linear[2])}; }
 
 void write_ply(std::ostream& out, const Mesh& mesh) {
-    const bool normals = !mesh.normals.empty(), colors = !mesh.colors.empty();
+    const bool normals = !mesh.normals.empty(), colors = !mesh.colors.empty(), extrapolated = !mesh.extrapolated.empty();
     out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size() << "\nproperty float x\nproperty float y\nproperty float z\n"
-        << (normals ? "property float nx\nproperty float ny\nproperty float nz\n" : "") << (colors ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "") << "element face "
-        << mesh.triangles.size() << "\nproperty list uchar int vertex_indices\nend_header\n";
-    const size_t stride = 12 + (normals ? 12 : 0) + (colors ? 3 : 0);
+        << (normals ? "property float nx\nproperty float ny\nproperty float nz\n" : "") << (colors ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "")
+        << (extrapolated ? "property uchar extrapolated\n" : "") << "element face " << mesh.triangles.size() - mesh.quads << "\nproperty list uchar int vertex_indices\nend_header\n";
+    const size_t color_at = normals ? 24 : 12, extrapolated_at = color_at + (colors ? 3 : 0), stride = extrapolated_at + (extrapolated ? 1 : 0);
     std::string points(mesh.vertices.size() * stride, '\0');
     tbb::parallel_for(size_t{0}, mesh.vertices.size(), [&](size_t v) {
         char* at = points.data() + v * stride;
         std::memcpy(at, mesh.vertices[v].data(), 12);
         if (normals) std::memcpy(at + 12, mesh.normals[v].data(), 12);
-        if (colors) std::memcpy(at + stride - 3, srgb8(mesh.colors[v]).data(), 3);
+        if (colors) std::memcpy(at + color_at, srgb8(mesh.colors[v]).data(), 3);
+        if (extrapolated) at[extrapolated_at] = static_cast<char>(mesh.extrapolated[v]);
     });
     out.write(points.data(), static_cast<std::streamsize>(points.size()));
     std::string faces;
-    faces.reserve(mesh.triangles.size() * 13);
-    for (const auto& t : mesh.triangles) {
+    faces.reserve(loose_triangles(mesh) * 13 + mesh.quads * 17);
+    for (size_t t = 0; t < loose_triangles(mesh); ++t) {
         faces.push_back(3);
-        put(faces, t.data(), 12);
+        put(faces, mesh.triangles[t].data(), 12);
+    }
+    for (size_t q = 0; q < mesh.quads; ++q) {
+        faces.push_back(4);
+        put(faces, quad(mesh, q).data(), 16);
     }
     out.write(faces.data(), static_cast<std::streamsize>(faces.size()));
 }
 
-/// Rotation that turns `up` to y; rows are images of x, y, z.
-std::array<std::array<float, 3>, 3> to_y_up(const std::string& up) {
-    if (up == "z") return {{{1, 0, 0}, {0, 0, 1}, {0, -1, 0}}};
-    if (up == "-z") return {{{1, 0, 0}, {0, 0, -1}, {0, 1, 0}}};
-    if (up == "x") return {{{0, -1, 0}, {1, 0, 0}, {0, 0, 1}}};
-    if (up == "-x") return {{{0, 1, 0}, {-1, 0, 0}, {0, 0, 1}}};
-    if (up == "-y") return {{{1, 0, 0}, {0, -1, 0}, {0, 0, -1}}};
-    if (up.empty() || up == "y") return {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
-    throw UsageError("--up " + up + " is none of x, y, z, -x, -y, -z");
-}
+/// A matt white, which vertex colours are multiplied with.
+constexpr const char* kMaterial = "newmtl object\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\n";
 
-void write_obj(std::ostream& out, const Mesh& mesh, const std::string& up) {
-    const auto r = to_y_up(up);
-    std::string text;
+void write_obj(std::ostream& out, const Mesh& mesh, const std::string& material_file) {
+    std::string text = "mtllib " + material_file + "\n";
     char line[128];
+    const auto flush = [&](size_t least) {
+        if (text.size() < least) return;
+        out.write(text.data(), static_cast<std::streamsize>(text.size()));
+        text.clear();
+    };
+    constexpr size_t kPiece = 1 << 20;
     for (size_t v = 0; v < mesh.vertices.size(); ++v) {
         const auto& p = mesh.vertices[v];
-        float q[3];
-        for (size_t i = 0; i < 3; ++i) q[i] = r[i][0] * p[0] + r[i][1] * p[1] + r[i][2] * p[2];
-        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "v %.9g %.9g %.9g", q[0], q[1], q[2])));
+        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "v %.9g %.9g %.9g", p[0], p[1], p[2])));
         if (!mesh.colors.empty()) {
             const auto c = srgb8(mesh.colors[v]);
             text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, " %.4f %.4f %.4f", c[0] / 255.0, c[1] / 255.0, c[2] / 255.0)));
         }
         text.push_back('\n');
+        flush(kPiece);
     }
-    for (const auto& t : mesh.triangles)
-        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "f %u %u %u\n", t[0] + 1, t[1] + 1, t[2] + 1)));
-    out.write(text.data(), static_cast<std::streamsize>(text.size()));
+    const bool normals = !mesh.normals.empty();
+    for (const auto& n : mesh.normals) {
+        text.append(line, static_cast<size_t>(std::snprintf(line, sizeof line, "vn %.6g %.6g %.6g\n", n[0], n[1], n[2])));
+        flush(kPiece);
+    }
+    text += "usemtl object\n";
+    const auto face = [&](const auto& corners) {
+        text += "f";
+        for (const uint32_t v : corners) text.append(line, static_cast<size_t>(normals ? std::snprintf(line, sizeof line, " %u//%u", v + 1, v + 1) : std::snprintf(line, sizeof line, " %u", v + 1)));
+        text.push_back('\n');
+        flush(kPiece);
+    };
+    for (size_t t = 0; t < loose_triangles(mesh); ++t) face(mesh.triangles[t]);
+    for (size_t q = 0; q < mesh.quads; ++q) face(quad(mesh, q));
+    flush(0);
 }
 
 void write_stl(std::ostream& out, const Mesh& mesh) {
@@ -206,31 +233,36 @@ void write_stl(std::ostream& out, const Mesh& mesh) {
 
 Mesh read_mesh(const fs::path& file) {
     if (!fs::is_regular_file(file)) throw InputError(file.string() + ": no such file");
+    std::string ext = file.extension().string();
+    std::transform(ext.begin(), ext.end(), ext.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    if (ext == ".glb") return read_glb(file);
     Mesh mesh;
     ArrayImporter importer(mesh);
-    OpenMesh::IO::Options options(OpenMesh::IO::Options::VertexColor | (file.extension() == ".ply" ? OpenMesh::IO::Options::VertexNormal : OpenMesh::IO::Options::FaceTexCoord));
+    OpenMesh::IO::Options options(OpenMesh::IO::Options::VertexColor | (ext == ".ply" ? OpenMesh::IO::Options::VertexNormal : OpenMesh::IO::Options::FaceTexCoord));
     omerr().disable();
     if (!OpenMesh::IO::IOManager().read(file.string(), importer, options))
-        throw InputError(file.string() + ": is not a mesh that can be read (.ply, .obj, .stl, .off)");
+        throw InputError(file.string() + ": is not a mesh that can be read (.ply, .obj, .stl, .off, .glb)");
     if (mesh.triangles.empty()) throw InputError(file.string() + ": has no faces");
+    if (!importer.quads_come_last()) mesh.quads = 0;
     if (!mesh.colors.empty()) mesh.colors.resize(mesh.vertices.size());
     if (!mesh.texcoords.empty()) mesh.texcoords.resize(mesh.triangles.size());
     for (const auto& t : mesh.triangles)
         for (uint32_t v : t)
             if (v >= mesh.vertices.size()) throw InputError(file.string() + ": a face names vertex " + std::to_string(v) + " of " + std::to_string(mesh.vertices.size()));
-    std::string ext = file.extension().string();
-    std::transform(ext.begin(), ext.end(), ext.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
     if (ext == ".stl") weld(mesh);
     return mesh;
 }
 
-void write_mesh(const fs::path& file, const Mesh& mesh, const std::string& up) {
+void write_mesh(const fs::path& file, const Mesh& mesh) {
     const std::string ext = file.extension().string();
-    if (ext != ".ply" && ext != ".obj" && ext != ".stl")
-        throw UsageError(file.string() + ": meshes are written as .ply, .obj or .stl");
+    if (ext != ".ply" && ext != ".obj" && ext != ".stl" && ext != ".glb")
+        throw UsageError(file.string() + ": meshes are written as .ply, .obj, .stl or .glb");
+    const fs::path material = fs::path(file).replace_extension(".mtl");
+    if (ext == ".obj") write_file(material, kMaterial);
     AtomicFile out(file);
     if (ext == ".ply") write_ply(out.stream(), mesh);
-    else if (ext == ".obj") write_obj(out.stream(), mesh, up);
+    else if (ext == ".obj") write_obj(out.stream(), mesh, material.filename().string());
+    else if (ext == ".glb") write_glb(out.stream(), mesh, file);
     else write_stl(out.stream(), mesh);
     out.commit();
 }

@@ -61,10 +61,16 @@ NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid, bool finished) {
 
 std::string invalid_nanovdb(const NanoBuffer& buffer) { return nanovdb::GridValidator<float>::check(*grid_in(buffer), true); }
 
-void write_nvdb(const fs::path& file, const std::vector<openvdb::FloatGrid::ConstPtr>& grids) {
-    if (grids.empty()) throw UsageError(file.string() + ": no float grid to write");
+void write_nvdb(const fs::path& file, const openvdb::GridCPtrVec& grids) {
+    if (grids.empty()) throw UsageError(file.string() + ": no grid to write");
     std::vector<Handle> handles;
-    for (const auto& grid : grids) handles.push_back(handle_of(*grid));
+    for (const auto& grid : grids) {
+        try {
+            handles.push_back(nanovdb::openToNanoVDB<nanovdb::HostBuffer>(openvdb::ConstPtrCast<openvdb::GridBase>(grid), nanovdb::StatsMode::All, nanovdb::ChecksumMode::Full));
+        } catch (const std::exception& e) {
+            throw UsageError(file.string() + ": grid '" + grid->getName() + "' (" + grid->valueType() + ") has no NanoVDB form: " + e.what());
+        }
+    }
     AtomicFile target(file);
     try {
         nanovdb::io::writeGrids(target.stream(), handles, nanovdb::io::Codec::NONE);
@@ -74,18 +80,16 @@ void write_nvdb(const fs::path& file, const std::vector<openvdb::FloatGrid::Cons
     target.commit();
 }
 
-std::vector<openvdb::FloatGrid::Ptr> read_nvdb(const fs::path& file) {
+openvdb::GridPtrVec read_nvdb(const fs::path& file) {
     if (!fs::is_regular_file(file)) throw InputError(file.string() + ": no such file");
-    std::vector<openvdb::FloatGrid::Ptr> out;
+    openvdb::initialize();
+    openvdb::GridPtrVec out;
     try {
-        for (const Handle& handle : nanovdb::io::readGrids<nanovdb::HostBuffer, std::vector>(file.string())) {
-            if (!handle.grid<float>()) continue;
-            out.push_back(openvdb::gridPtrCast<openvdb::FloatGrid>(nanovdb::nanoToOpenVDB(handle)));
-        }
+        for (const Handle& handle : nanovdb::io::readGrids<nanovdb::HostBuffer, std::vector>(file.string())) out.push_back(nanovdb::nanoToOpenVDB(handle));
     } catch (const std::exception& e) {
         throw InputError(file.string() + ": is not a .nvdb that can be read: " + e.what());
     }
-    if (out.empty()) throw InputError(file.string() + ": has no float grid");
+    if (out.empty()) throw InputError(file.string() + ": has no grid");
     return out;
 }
 

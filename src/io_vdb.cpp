@@ -48,18 +48,35 @@ void replace_uuid(const fs::path& file) {
 
 }  // namespace
 
-void write_vdb(const fs::path& file, const openvdb::GridCPtrVec& grids, const VdbMetadata& m) {
+void write_vdb(const fs::path& file, const openvdb::GridCPtrVec& grids, const VdbMetadata& m, bool half) {
+    openvdb::initialize();
+    openvdb::MetaMap meta;
+    meta.insertMeta("up_axis", openvdb::StringMetadata(m.up.empty() ? "unknown" : m.up));
+    meta.insertMeta("units", openvdb::StringMetadata(m.units.empty() ? "unknown" : m.units));
+    meta.insertMeta("views", openvdb::Int32Metadata(static_cast<int>(m.views)));
+    meta.insertMeta("voxel_size", openvdb::DoubleMetadata(m.voxel_size));
+    if (!m.inputs_sha256.empty()) meta.insertMeta("inputs_sha256", openvdb::StringMetadata(m.inputs_sha256));
+    write_vdb(file, grids, meta, half);
+}
+
+void write_vdb(const fs::path& file, const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& metadata, bool half) {
     openvdb::initialize();
     AtomicFile target(file);
     try {
-        openvdb::MetaMap meta;
+        openvdb::MetaMap meta(metadata);
+        meta.removeMeta("creator");
         meta.insertMeta("creator", openvdb::StringMetadata(std::string("vdbcarve ") + kVersion));
-        meta.insertMeta("up_axis", openvdb::StringMetadata(m.up.empty() ? "unknown" : m.up));
-        meta.insertMeta("units", openvdb::StringMetadata(m.units.empty() ? "unknown" : m.units));
-        meta.insertMeta("views", openvdb::Int32Metadata(static_cast<int>(m.views)));
-        meta.insertMeta("voxel_size", openvdb::DoubleMetadata(m.voxel_size));
-        if (!m.inputs_sha256.empty()) meta.insertMeta("inputs_sha256", openvdb::StringMetadata(m.inputs_sha256));
-        CheckedArchive().write_to(target.stream(), grids, meta);
+        openvdb::GridCPtrVec marked;
+        for (const openvdb::GridBase::ConstPtr& grid : grids) {
+            if (!half) {
+                marked.push_back(grid);
+                continue;
+            }
+            const openvdb::GridBase::Ptr copy = openvdb::ConstPtrCast<openvdb::GridBase>(grid)->copyGrid();  // of the head: the tree is shared
+            copy->setSaveFloatAsHalf(true);
+            marked.push_back(copy);
+        }
+        CheckedArchive().write_to(target.stream(), marked, meta);
     } catch (const openvdb::Exception& e) {
         throw OutputError(file.string() + ": cannot be written: " + e.what());
     }
@@ -68,12 +85,13 @@ void write_vdb(const fs::path& file, const openvdb::GridCPtrVec& grids, const Vd
     target.commit();
 }
 
-openvdb::GridPtrVec read_vdb(const fs::path& file) {
+openvdb::GridPtrVec read_vdb(const fs::path& file, openvdb::MetaMap* metadata) {
     if (!fs::is_regular_file(file)) throw InputError(file.string() + ": no such file");
     openvdb::initialize();
     try {
         openvdb::io::File in(file.string());
         in.open(false);  // no delayed loading: what is read is held
+        if (metadata) *metadata = *in.getMetadata();
         return *in.getGrids();
     } catch (const openvdb::Exception& e) {
         throw InputError(file.string() + ": is not a .vdb that can be read: " + e.what());

@@ -10,12 +10,18 @@
 
 namespace vdbcarve {
 
+template <class Leaf>
+std::unordered_map<openvdb::Coord, int32_t> numbers_of(const std::vector<Leaf*>& leaves) {
+    std::unordered_map<openvdb::Coord, int32_t> out;
+    out.reserve(2 * leaves.size());
+    for (size_t n = 0; n < leaves.size(); ++n) out[leaves[n]->origin()] = static_cast<int32_t>(n);
+    return out;
+}
+
 /// The six face neighbours of every leaf by number, -1 where there is none: -x +x -y +y -z +z.
 template <class Leaf>
 std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leaves) {
-    std::unordered_map<openvdb::Coord, int32_t> number;
-    number.reserve(2 * leaves.size());
-    for (size_t n = 0; n < leaves.size(); ++n) number[leaves[n]->origin()] = static_cast<int32_t>(n);
+    const auto number = numbers_of(leaves);
     std::vector<std::array<int32_t, 6>> out(leaves.size());
     tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t n) {
         for (int f = 0; f < 6; ++f) {
@@ -23,6 +29,24 @@ std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leav
             c[f / 2] += f % 2 ? 8 : -8;
             const auto found = number.find(c);
             out[n][static_cast<size_t>(f)] = found == number.end() ? -1 : found->second;
+        }
+    });
+    return out;
+}
+
+/// What stands in for a leaf that is not there.
+inline constexpr int32_t kOutsideTile = -1, kInsideTile = -2;
+
+/// The leaf itself and all 26 around it by number, (dx + 1) * 9 + (dy + 1) * 3 + dz + 1; kOutsideTile or kInsideTile where there is none.
+template <class Tree, class Leaf>
+std::vector<std::array<int32_t, 27>> surroundings_of(const Tree& tree, const std::vector<Leaf*>& leaves) {
+    const auto number = numbers_of(leaves);
+    std::vector<std::array<int32_t, 27>> out(leaves.size());
+    tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t n) {
+        for (int a = 0; a < 27; ++a) {
+            const openvdb::Coord c = leaves[n]->origin().offsetBy(8 * (a / 9 - 1), 8 * (a / 3 % 3 - 1), 8 * (a % 3 - 1));
+            const auto found = number.find(c);
+            out[n][static_cast<size_t>(a)] = found != number.end() ? found->second : tree.getValue(c) < 0.f ? kInsideTile : kOutsideTile;
         }
     });
     return out;

@@ -14,6 +14,7 @@
 #include <cmath>
 
 #include "leaf_neighbours.h"
+#include "redistance.h"
 #include "vdbcarve/device.h"
 #include "vdbcarve/kernel/level_set.h"
 #include "same_transform.h"
@@ -60,8 +61,37 @@ openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOp
         device.level_set(options);
         return device.surface();
     }
+    return redistance(std::move(hull), options.half_width_vox, nullptr, progress);
+}
+
+int64_t inside_tile_voxels(const openvdb::FloatTree& tree) {
+    int64_t out = 0;
+    openvdb::FloatTree::ValueAllCIter tile = tree.cbeginValueAll();
+    tile.setMaxDepth(openvdb::FloatTree::ValueAllCIter::LEAF_DEPTH - 1);
+    for (; tile; ++tile)
+        if (*tile < 0.f) out += static_cast<int64_t>(tile.getVoxelCount());
+    return out;
+}
+
+int64_t volume_units(const openvdb::FloatGrid& surface) {
+    std::vector<const Leaf*> leaves;
+    surface.tree().getNodes(leaves);
+    const auto voxel = static_cast<float>(surface.voxelSize()[0]);
+    std::atomic<int64_t> sum{0};
+    tbb::parallel_for(tbb::blocked_range<size_t>(0, leaves.size(), 16), [&](const tbb::blocked_range<size_t>& range) {
+        int64_t part = 0;
+        for (size_t n = range.begin(); n < range.end(); ++n)
+            for (int at = 0; at < kLeafVoxels; ++at) part += kernel::filled_units(leaves[n]->buffer().data()[at] / voxel);
+        sum += part;
+    });
+    return sum + inside_tile_voxels(surface.tree()) * kernel::kVolumeUnits;
+}
+
+openvdb::FloatGrid::Ptr redistance(openvdb::FloatGrid::Ptr hull, int half_width_vox, VolumeRepair* repair, Progress& progress) {
     const auto voxel = static_cast<float>(hull->voxelSize()[0]);
-    const float band_vox = static_cast<float>(options.half_width_vox), band = band_vox * voxel;
+    // A surface that may be moved needs a band that still reaches far enough afterwards.
+    const int solved_vox = half_width_vox + (repair && repair->move ? 1 : 0);
+    const float band_vox = static_cast<float>(solved_vox), band = static_cast<float>(half_width_vox) * voxel;
 
     openvdb::FloatGrid::Ptr surface = std::move(hull);
     surface->setName("surface");
@@ -70,7 +100,7 @@ openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOp
     surface->tree().getNodes(leaves);
     const size_t count = leaves.size();
     const auto neighbours = neighbours_of(leaves);
-    const int passes = kernel::level_set_passes(options.half_width_vox);
+    const int passes = kernel::level_set_passes(solved_vox);
     progress.begin("level_set", static_cast<size_t>(passes) + 2);
     const VectorLoops& loops = vector_loops();
 
@@ -121,18 +151,37 @@ openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOp
         else sweep(in_array, in_leaves, pass == 0);
     }
 
+    const auto solved = [&](size_t n) -> const float* { return passes % 2 ? in_leaves(n) : in_array(n); };
+    if (repair) {
+        const int64_t tiles = inside_tile_voxels(surface->tree()) * kernel::kVolumeUnits;
+        repair_volume(*repair, [&](float offset) {
+            std::atomic<int64_t> volume{tiles}, area{0};
+            for_leaves([&](size_t n, float*) {
+                int64_t part = 0, crossed = 0;
+                for (int at = 0; at < kLeafVoxels; ++at) {
+                    const float d = std::fabs(solved(n)[at]), moved = (inside[n * 8 + static_cast<size_t>(at >> 6)] >> (at & 63) & 1 ? -d : d) - offset;
+                    part += kernel::filled_units(moved);
+                    crossed += std::fabs(moved) < 0.5f;
+                }
+                volume += part;
+                area += crossed;
+            });
+            return std::pair<int64_t, int64_t>(volume, area);
+        });
+    }
+    const float offset = repair ? static_cast<float>(repair->offset_vox) : 0.f, kept_vox = static_cast<float>(half_width_vox);
     for_leaves([&](size_t n, float*) {
         Leaf& leaf = *leaves[n];
-        const float* from = passes % 2 ? in_leaves(n) : in_array(n);
+        const float* from = solved(n);
         float* values = leaf.buffer().data();
         openvdb::util::NodeMask<3> active;
         for (size_t i = 0; i < 8; ++i) {
             uint64_t word = 0;
             for (size_t jk = 0; jk < 64; ++jk) {
                 const size_t at = i << 6 | jk;
-                const float d = std::fabs(from[at]), v = d >= band_vox ? band : d * voxel;
-                word |= static_cast<uint64_t>(d < band_vox) << jk;
-                values[at] = inside[n * 8 + i] >> jk & 1 ? -v : v;
+                const kernel::BandVoxel v = kernel::band_voxel(std::fabs(from[at]), inside[n * 8 + i] >> jk & 1, offset, kept_vox);
+                word |= static_cast<uint64_t>(v.active) << jk;
+                values[at] = v.active ? v.distance_vox * voxel : (v.distance_vox < 0.f ? -band : band);
             }
             active.getWord<openvdb::Index64>(static_cast<openvdb::Index>(i)) = word;
         }

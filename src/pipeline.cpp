@@ -16,9 +16,12 @@
 #include "io_image.h"
 #include "memory.h"
 #include "same_transform.h"
+#include "mesh_store.h"
 #include "sha256.h"
 #include "statistics.h"
+#include "vdbcarve/caps.h"
 #include "vdbcarve/carve.h"
+#include "vdbcarve/decimate.h"
 #include "vdbcarve/device.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/level_set.h"
@@ -104,7 +107,9 @@ class Job {
         }
         stage("level_set", [&] { return make_surface(); });
         if (o_.color.mode != ColorMode::None) stage("color", [&] { return make_color(); });
+        stage("filter", [&] { return filter_surface(); });
         stage("mesh", [&] { return make_mesh(); });
+        stage("smooth", [&] { return smooth_mesh(); });
         stage("export", [&] { export_all(); return false; });
         return finish();
     }
@@ -168,8 +173,15 @@ class Job {
         need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox, "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
         need(!o_.color.skip_upright || o_.color.mode == ColorMode::Best, "--paper is of --color best");
         need(o_.color_leave_out == 0 || o_.color_leave_out >= 2, "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
+        need(!o_.quads || o_.mesher == Mesher::Dual, "--quads are made by --mesher dual only");
+        need(o_.min_piece_share >= 0 && o_.min_piece_share <= 1, "--min-piece is " + std::to_string(o_.min_piece_share) + ", must be 0..1");
+        need(o_.keep_thin_vox >= 0, "--keep-thin is " + std::to_string(o_.keep_thin_vox) + ", must be >= 0");
+        need(std::isfinite(o_.max_error) && o_.max_error >= 0, "--max-error is " + std::to_string(o_.max_error) + ", must be > 0");
+        need(std::isfinite(o_.cap_tolerance) && o_.cap_tolerance >= 0, "--cap-tolerance is " + std::to_string(o_.cap_tolerance) + ", must be >= 0");
+        need(!o_.smooth_iterations || (*o_.smooth_iterations >= 0 && *o_.smooth_iterations <= 10000), "--smooth must be 0..10000 iterations");
+        need(o_.smooth.lambda > 0 && o_.smooth.lambda < 1 && o_.smooth.mu < -o_.smooth.lambda && o_.smooth.mu > -2, "--smooth-lambda must be within 0..1 and --smooth-mu less than its negative");
         for (const std::string& f : o_.mesh_formats)
-            need(f == "ply" || f == "obj" || f == "stl", "--mesh-formats: '" + f + "' is not written yet (ply, obj, stl)");
+            need(f == "ply" || f == "obj" || f == "stl" || f == "glb", "--mesh-formats: '" + f + "' is none of ply, obj, stl, glb");
         if (!bad.empty()) throw UsageError(bad);
     }
 
@@ -184,6 +196,8 @@ class Job {
 
     void load() {
         views_ = load_views(o_.views, progress_);
+        if (o_.flat_base && up().empty()) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
+        if (o_.stl_mm) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(std::to_string(views_.views.size()) + " views from " + views_.camera_file.string() + " (" + views_.format + ")");
     }
 
@@ -717,6 +731,20 @@ class Job {
     }
 
 
+    std::string up() const { return o_.views.up.empty() ? views_.up : o_.views.up; }
+    FrameRequest frame_request() const { return {up(), views_.units, o_.dcc, o_.stl_mm}; }
+    /// Up as a direction; the axis of the orbit where it is not known.
+    Vec3d up_direction() const {
+        const std::string name = up();
+        if (name.empty()) {
+            const std::vector<Camera> all = views_.cameras();
+            std::vector<Camera> cameras;
+            for (const size_t u : used_) cameras.push_back(all[u]);
+            return orbit_axis(cameras);
+        }
+        return (name.front() == '-' ? -1.0 : 1.0) * Vec3d::Unit(name.back() - 'x');
+    }
+
     VdbMetadata metadata() const {
         return {views_.units, views_.up, used_.size(), report_["grid"]["voxel_size"].get<double>(), inputs_sha256_};
     }
@@ -725,7 +753,7 @@ class Job {
 
     bool make_surface() {
         Sha256 h;
-        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).hex();
+        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).add_value(o_.flat_base).add(o_.flat_base ? up() : "").hex();
         const fs::path file = store_.path("surface", surface_key_, ".vdb");
         if (fs::exists(file)) {
             surface_ = read_float_grid(file, "surface");
@@ -748,7 +776,118 @@ class Job {
             if (!done) surface_ = level_set(std::move(hull_), options, progress_);
         }
         hull_.reset();
+        if (o_.flat_base) {
+            const SeenExtent seen = seen_silhouettes();
+            if (seen.bottom_seen) {
+                surface_ = cut_flat(std::move(surface_), up_direction(), seen.lowest, progress_);
+                surface_on_device_ = false;
+            } else {
+                progress_.warn("--base flat: every silhouette is cut by its frame below; the foot stays as it is");
+            }
+        }
         write_vdb(file, {surface_}, metadata());
+        return false;
+    }
+
+    SeenExtent seen_silhouettes() const {
+        std::vector<MaskView> masks(views_.views.size());
+        for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
+        return seen_extent(*surface_, views_.cameras(), masks, up_direction());
+    }
+
+    // --------------------------------------------------------------------------------------- filter
+
+    /// The share of the contour's pixels that are neither object nor background: about 1 where masks are soft, 0 where they are not; the median over
+    /// views.
+    double mask_softness() const {
+        std::vector<double> all(used_.size());
+        tbb::parallel_for(size_t{0}, used_.size(), [&](size_t u) {
+            const Image8& m = masks_.masks[used_[u]].coverage;
+            size_t soft = 0, crossings = 0;
+            for (int y = 0; y + 1 < m.height; ++y)
+                for (int x = 0; x + 1 < m.width; ++x) {
+                    const int here = m.at(x, y);
+                    soft += here > 8 && here < 247;
+                    crossings += ((here < 128) != (m.at(x + 1, y) < 128)) || ((here < 128) != (m.at(x, y + 1) < 128));
+                }
+            all[u] = crossings ? std::min(1.0, static_cast<double>(soft) / static_cast<double>(crossings)) : 0;
+        });
+        return median(all);
+    }
+
+    FilterOptions filter_options() {
+        FilterOptions options;
+        options.repair_volume = o_.repair_volume;
+        options.keep_thin_vox = std::min(o_.keep_thin_vox, 2 * (std::lround(surface_->background() / surface_->voxelSize()[0]) - 0.75));
+        options.device = o_.device;
+        json& said = report_["filter"];
+        if (o_.filters) {
+            options.steps = *o_.filters;
+        } else {
+            const double softness = mask_softness();
+            options.steps = default_filters(o_.occupancy ? 0 : softness);
+            said["mask_softness"] = softness;
+        }
+        said["chain"] = filters_text(options.steps);
+        return options;
+    }
+
+    bool filter_surface() {
+        const FilterOptions options = filter_options();
+        Sha256 h;
+        h.add("filter").add_value(kCodeVersion).add(surface_key_).add(filters_text(options.steps)).add_value(options.repair_volume).add_value(options.keep_thin_vox);
+        if (options.steps.empty()) {
+            filtered_key_ = surface_key_;
+            return false;
+        }
+        filtered_key_ = h.hex();
+        const fs::path file = store_.path("filtered", filtered_key_, ".vdb"), note_file = store_.path("filtered", filtered_key_, ".json");
+        if (const auto note = stage_note(note_file, {"filter", "warnings"}); note && fs::exists(file)) {
+            surface_ = read_float_grid(file, "surface");
+            surface_on_device_ = false;
+            report_["filter"].update((*note)["filter"]);
+            warn_again(*note);
+            return true;
+        }
+        const size_t warnings_before = progress_.warnings().size();
+        FilterResult result;
+        const bool done = backend_ == Backend::Cuda && on_device("filter", [&] {
+            if (!surface_on_device_) device_->set_surface(*surface_);
+            surface_on_device_ = false;  // until it is whole again
+            result = device_->filter(options, progress_);
+            result.components_before = count_pieces(*surface_);
+            surface_ = device_->surface();
+            surface_on_device_ = true;
+            result.components = count_pieces(*surface_);
+        });
+        if (!done) {
+            result = filter(std::move(surface_), options, progress_);
+            surface_ = result.surface;
+            surface_on_device_ = false;
+        }
+        json ms, said;
+        for (const auto& [name, value] : result.milliseconds) ms[name] = value;
+        const double change = result.volume_filtered / result.volume_before - 1, left = result.volume / result.volume_before - 1;
+        said = {{"volume_before", result.volume_before}, {"volume_filtered", result.volume_filtered}, {"volume", result.volume}, {"repair_offset_vox", result.offset_vox}, {"repair_steps", result.repair_steps},
+                {"pieces_before", result.components_before}, {"pieces", result.components}};
+        char text[200];
+        std::snprintf(text, sizeof text, "filter %s: volume %+.3f %%", filters_text(options.steps).c_str(), 100 * change);
+        std::string line = text;
+        if (options.repair_volume) {
+            std::snprintf(text, sizeof text, ", moved by %+.4f voxel to %+.4f %% (tolerance %g %%)", result.offset_vox, 100 * left, 100 * kVolumeTolerance);
+            line += text;
+        }
+        progress_.note(line);
+        if (std::fabs(change) > 0.01) {
+            std::snprintf(text, sizeof text, "the filter takes %.1f %% of the volume (%.4g of %.4g)", -100 * change, result.volume_before - result.volume_filtered, result.volume_before);
+            progress_.warn(std::string(text) + (options.repair_volume ? ", which the repair gives back to what is left" : "") + ". Remedy: a higher --resolution, --keep-thin, a weaker --filter");
+        }
+        if (result.components < result.components_before)
+            progress_.warn("the filter leaves " + std::to_string(result.components) + " pieces of " + std::to_string(result.components_before) + ": thin ones are gone, or grown together. Remedy: --keep-thin, or --filter none");
+        write_vdb(file, {surface_}, metadata());
+        write_file(note_file, json{{"filter", said}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
+        report_["filter"].update(said);
+        report_["filter"]["milliseconds"] = ms;
         return false;
     }
 
@@ -912,37 +1051,92 @@ class Job {
         if (missed) progress_.warn(std::to_string(missed) + " vertices of the mesh have no coloured voxel around and are black");
     }
 
+    /// How many slabs the mesher goes through the grid in, so that it stays within the limit.
+    int mesh_pieces() {
+        const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
+        const double leaves = static_cast<double>(surface_->tree().leafCount());
+        const double room = limit - static_cast<double>(resident_memory_bytes()) - leaves * kMeshBytesPerLeaf, wanted = leaves * kMesherBytesPerLeaf;
+        report_["mesh_step"]["expected_bytes"] = std::llround(leaves * (kMeshBytesPerLeaf + kMesherBytesPerLeaf));
+        if (wanted <= room || o_.mesher != Mesher::Dual) return 1;
+        if (o_.adaptivity > 0) {
+            progress_.warn("an adaptive mesh is made in one piece, which may exceed the memory limit. Remedy: --adaptivity 0, then --max-error");
+            return 1;
+        }
+        return static_cast<int>(std::clamp(std::ceil(wanted / std::max(room, 1.0)), 2.0, 64.0));
+    }
+
     bool make_mesh() {
         Sha256 h;
-        h.add("mesh").add_value(kCodeVersion).add(surface_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).add(color_key_);
-        mesh_key_ = h.add_value(o_.color_from_photos && color_).hex();
-        const fs::path file = store_.path("mesh", mesh_key_, ".ply");
-        const bool reused = fs::exists(file);
+        h.add("mesh").add_value(kCodeVersion).add(filtered_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).add_value(o_.min_piece_share).add(color_key_);
+        const fs::path file = store_.path("mesh", mesh_key_ = h.add_value(o_.color_from_photos && color_).hex(), ".bin");
         const fs::path note_file = store_.path("mesh", mesh_key_, ".json");
-        if (reused) {
-            mesh_ = read_mesh(file);
-            if (const auto note = stage_note(note_file, {"vertices_seen_share", "warnings"})) {
-                if (!(*note)["vertices_seen_share"].is_null()) report_["color"]["vertices_seen_share"] = (*note)["vertices_seen_share"];
-                warn_again(*note);
+        const auto note = stage_note(note_file, {"vertices_seen_share", "mesh_step", "warnings"});
+        if (auto stored = note ? stored_mesh(file) : std::nullopt) {
+            mesh_ = std::move(*stored);
+            if (!(*note)["vertices_seen_share"].is_null()) report_["color"]["vertices_seen_share"] = (*note)["vertices_seen_share"];
+            report_["mesh_step"] = (*note)["mesh_step"];
+            warn_again(*note);
+            if (!o_.quads) mesh_.quads = 0;
+            return true;
+        }
+        const size_t warnings_before = progress_.warnings().size();
+        MeshOptions options;
+        options.adaptivity = o_.adaptivity;
+        options.mesher = o_.mesher;
+        options.normals = o_.normals;
+        options.quads = o_.mesher == Mesher::Dual;
+        options.pieces = mesh_pieces();
+        if (options.pieces > 1) progress_.note("the mesh is made in " + std::to_string(options.pieces) + " slabs, to stay within the memory limit");
+        report_["mesh_step"]["slabs"] = options.pieces;
+        bool meshed = false;
+        const bool done = backend_ == Backend::Cuda && o_.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
+            if (!surface_on_device_) device_->set_surface(*surface_);
+            meshed = device_->extract_mesh(o_.normals);
+            if (meshed) mesh_ = device_->fetch_mesh(o_.normals);
+        });
+        if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
+        const DroppedPieces dropped = drop_small_pieces(mesh_, o_.min_piece_share);
+        report_["mesh_step"]["dropped_pieces"] = dropped.pieces;
+        report_["mesh_step"]["dropped_volume_share"] = dropped.volume_share;
+        if (dropped.pieces) {
+            char text[200];
+            std::snprintf(text, sizeof text, "%zu small pieces of the mesh are left out, %.3g %% of the volume; %zu are kept (--min-piece 0 keeps all)", dropped.pieces, 100 * dropped.volume_share, dropped.kept);
+            progress_.note(text);
+        }
+        color_mesh();
+        const bool direct = o_.color_from_photos && color_;
+        store_mesh(file, mesh_);
+        write_file(note_file, json{{"vertices_seen_share", direct ? report_["color"]["vertices_seen_share"] : json()}, {"mesh_step", report_["mesh_step"]}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
+        if (!o_.quads) mesh_.quads = 0;
+        return false;
+    }
+
+    // --------------------------------------------------------------------------------------- smooth
+
+    /// Taubin's smoothing, then fewer faces.
+    bool smooth_mesh() {
+        SmoothOptions options = o_.smooth;
+        // A binary model has steps that a filter takes away, or else this does.
+        options.iterations = o_.smooth_iterations.value_or(o_.occupancy && report_["filter"]["chain"] == "none" ? 10 : 0);
+        report_["smooth"] = {{"iterations", options.iterations}};
+        const bool fewer = o_.faces > 0 || o_.max_error > 0;
+        bool reused = false;
+        if (options.iterations > 0 || fewer) {
+            Sha256 h;
+            h.add("smooth").add_value(kCodeVersion).add(mesh_key_).add_value(options.iterations).add_value(options.lambda).add_value(options.mu).add_value(o_.faces).add_value(o_.max_error);
+            const fs::path file = store_.path("smooth", h.add_value(o_.quads).hex(), ".bin");
+            const double volume_before = measure(mesh_).volume;
+            if (auto stored = stored_mesh(file)) {
+                mesh_ = std::move(*stored);
+                reused = true;
+            } else {
+                smooth(mesh_, options, progress_);
+                if (fewer) decimate(mesh_, {o_.faces, o_.max_error}, progress_);
+                store_mesh(file, mesh_);
             }
-        } else {
-            const size_t warnings_before = progress_.warnings().size();
-            MeshOptions options;
-            options.adaptivity = o_.adaptivity;
-            options.mesher = o_.mesher;
-            options.normals = o_.normals;
-            bool meshed = false;
-            const bool done = backend_ == Backend::Cuda && o_.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
-                if (!surface_on_device_) device_->set_surface(*surface_);
-                meshed = device_->extract_mesh(o_.normals);
-                if (meshed) mesh_ = device_->fetch_mesh(o_.normals);
-            });
-            if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
-            color_mesh();
-            const bool direct = o_.color_from_photos && color_;
-            write_file(note_file, json{{"vertices_seen_share", direct ? report_["color"]["vertices_seen_share"] : json()},
-                                       {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
-            write_mesh(file, mesh_);
+            if (o_.faces > 0 && mesh_.triangles.size() > o_.faces)
+                progress_.warn("the mesh keeps " + std::to_string(mesh_.triangles.size()) + " faces, not " + std::to_string(o_.faces) + ": fewer would turn faces too far" + (o_.max_error > 0 ? ", or stray by more than --max-error" : ""));
+            report_["smooth"]["volume_before"] = volume_before;
         }
         measures_ = measure(mesh_);
         report_["mesh"] = {{"vertices", measures_.vertices},
@@ -957,13 +1151,47 @@ class Job {
                            {"genus", measures_.genus},
                            {"volume", measures_.volume},
                            {"area", measures_.area}};
+        report_["mesh"].update(report_["mesh_step"]);
+        report_.erase("mesh_step");
         if (!measures_.manifold) progress_.warn("the mesh is not a closed manifold");
         return reused;
     }
 
     // --------------------------------------------------------------------------------------- export
 
-    void export_all() {
+    /// Names the part of the surface that no photograph supports.
+    void mark_extrapolation() {
+        const double tolerance = o_.cap_tolerance > 0 ? o_.cap_tolerance : 2 * surface_->voxelSize()[0];
+        const Vec3d axis = up_direction();
+        const SeenExtent seen = seen_silhouettes();
+        const std::vector<Camera> all = views_.cameras();
+        std::vector<Camera> cameras;
+        for (const size_t u : used_) cameras.push_back(all[u]);
+        const Extrapolation e = mark_extrapolated(mesh_, cameras, seen, axis, tolerance);
+        json& said = report_["extrapolated"];
+        said = {{"axis", {axis.x(), axis.y(), axis.z()}},
+                {"highest_contour", seen.top_seen ? json(seen.highest) : json()},
+                {"lowest_contour", seen.bottom_seen ? json(seen.lowest) : json()},
+                {"top_beyond", e.top_beyond},
+                {"bottom_beyond", e.bottom_beyond},
+                {"tolerance", tolerance},
+                {"area_share", e.capped_share + e.unseen_share},
+                {"capped_share", e.capped_share},
+                {"unseen_share", e.unseen_share}};
+        const std::optional<double> metres = metres_per(views_.units);
+        if (metres) {
+            said["top_beyond_mm"] = 1e3 * *metres * e.top_beyond;
+            said["bottom_beyond_mm"] = 1e3 * *metres * e.bottom_beyond;
+        }
+        if (e.capped_share + e.unseen_share < 0.01) return;
+        char text[300];
+        const double unit = metres ? 1e3 * *metres : 1;
+        std::snprintf(text, sizeof text, "%.1f %% of the surface is extrapolated: %.1f %% lies beyond the contours that were seen (top %.3g, bottom %.3g %s), %.1f %% faces no camera", 100 * (e.capped_share + e.unseen_share),
+                      100 * e.capped_share, unit * e.top_beyond, unit * e.bottom_beyond, metres ? "mm" : "units", 100 * e.unseen_share);
+        progress_.note(text);
+    }
+
+    openvdb::GridCPtrVec result_grids() {
         openvdb::GridCPtrVec grids{surface_, density_of(*surface_)};
         if (o_.occupancy) {
             if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
@@ -973,22 +1201,53 @@ class Job {
             openvdb::Vec3SGrid::Ptr named = openvdb::Vec3SGrid::create(color_->treePtr());
             named->openvdb::MetaMap::operator=(*color_);
             named->setTransform(same_transform(color_->transform()));
-            named->setName(o_.dcc == "houdini" ? "Cd" : "color");
+            named->setName(color_grid_name(o_.dcc));
             grids.push_back(named);
             if (o_.views_grid) grids.push_back(views_grid_);
             if (o_.confidence_grid) grids.push_back(confidence_grid_);
         }
-        write_vdb(o_.output / "volume.vdb", grids, metadata());
-        const std::string up = o_.views.up.empty() ? views_.up : o_.views.up;
+        return grids;
+    }
+
+    /// Says in the report which frame a file is in.
+    FileFrame frame_of(const fs::path& name) {
+        const FileFrame frame = file_frame(name.extension().string(), frame_request());
+        report_["files"][name.string()] = {{"up", frame.up}, {"units", frame.units}, {"scale", frame.scale}, {"axes", frame.axes}};
+        return frame;
+    }
+
+    void warn_of_unknown_frame() {
+        const bool glb = std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), "glb") != o_.mesh_formats.end();
+        const bool obj = std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), "obj") != o_.mesh_formats.end();
+        const bool dcc = o_.dcc != Dcc::None;
+        if (!metres_per(views_.units)) {
+            const std::string what = views_.units.empty() ? "the unit of length is unknown" : "the unit '" + views_.units + "' is none that has a length";
+            if (glb || dcc) progress_.warn(what + ": files carry the scene's own numbers" + (glb ? ", and readers of mesh.glb take 1 unit for 1 m" : "") + ". Remedy: --units");
+            else progress_.note(what + ": files carry the scene's own units");
+        }
+        if (up().empty() && (glb || obj || dcc)) progress_.warn("the up axis is unknown: no file is turned, and readers take y (.obj, .glb) or z for up. Remedy: --up");
+    }
+
+    void export_all() {
+        mark_extrapolation();
+        warn_of_unknown_frame();
+        const FileFrame volume = frame_of("volume.vdb");
+        openvdb::GridCPtrVec grids;
+        for (const auto& grid : result_grids()) grids.push_back(in_frame(grid, volume));
+        VdbMetadata described = metadata();
+        described.up = volume.up;
+        described.units = volume.units;
+        described.voxel_size *= volume.scale;
+        write_vdb(o_.output / "volume.vdb", grids, described, o_.vdb_half);
+        grids.clear();
         // A mesh of an earlier run in a format not asked for now would no longer fit the rest.
-        for (const char* format : {"ply", "obj", "stl"})
+        for (const char* format : {"ply", "obj", "stl", "glb", "mtl"})
             if (std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), format) == o_.mesh_formats.end()) fs::remove(o_.output / (std::string("mesh.") + format));
         for (const std::string& format : o_.mesh_formats) {
-            const fs::path target = o_.output / ("mesh." + format);
-            if (format == "ply") place_copy(store_.path("mesh", mesh_key_, ".ply"), target);
-            else write_mesh(target, mesh_, up);
+            const fs::path name = "mesh." + format;
+            const FileFrame frame = frame_of(name);
+            write_mesh(o_.output / name, in_frame(mesh_, frame));
         }
-        if (views_.units.empty()) progress_.note("the unit of length is unknown: files carry the scene's own units");
         write_file(o_.output / "cameras.json", cameras_json(views_));
         agreement();
         preview();
@@ -1112,7 +1371,7 @@ class Job {
     int device_bricks_ = 1;
     std::optional<DevicePipeline> device_;
     bool surface_on_device_ = false;
-    std::string mask_key_, hull_key_, surface_key_, color_key_, mesh_key_;
+    std::string mask_key_, hull_key_, surface_key_, color_key_, filtered_key_, mesh_key_;
     double median_iou_ = 0, minimum_iou_ = 0;
     std::vector<SilhouetteAgreement> agreement_;  ///< of views_
 };

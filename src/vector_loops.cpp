@@ -11,6 +11,7 @@
 #endif
 
 #include "vdbcarve/kernel/distance.h"
+#include "vdbcarve/kernel/filter.h"
 #include "vdbcarve/kernel/level_set.h"
 
 namespace vdbcarve {
@@ -313,6 +314,72 @@ int redistance_leaf(const float* halo, float band_vox, float* out) {
     return changed;
 }
 
+/// Eight voxels in a row along z.
+typedef float Lanes __attribute__((vector_size(32)));
+
+inline Lanes load(const float* from) {
+    Lanes out;
+    std::memcpy(&out, from, sizeof out);
+    return out;
+}
+
+constexpr int halo_step(int i, int j, int k) { return (i * kFilterHalo + j) * kFilterHalo + k; }
+
+/// The 5^3 filter with its normals, which are made for the voxels around first.
+template <class Out>
+void edge_preserving_leaf(const FilterPass& pass, const float* first, float band_vox, const Out& out) {
+    float x[kFilterHaloVoxels], y[kFilterHaloVoxels], z[kFilterHaloVoxels];
+    const int r = pass.width, side = 8 + 2 * r;
+    for (int i = 0; i < side; ++i)
+        for (int j = 0; j < side; ++j)
+            for (int k = 0; k < side; k += 8) {
+                const int at = halo_step(i - r, j - r, (k + 8 > side ? side - 8 : k) - r);
+                const BandNormal<Lanes> n = band_normal<Lanes>([&](int di, int dj, int dk) { return load(first + at + halo_step(di, dj, dk)); });
+                const int to = at + halo_step(kMostFilterWidth, kMostFilterWidth, kMostFilterWidth);
+                std::memcpy(x + to, &n.x, sizeof n.x);
+                std::memcpy(y + to, &n.y, sizeof n.y);
+                std::memcpy(z + to, &n.z, sizeof n.z);
+            }
+    for (int row = 0; row < 64; ++row) {
+        const int here = halo_step(row >> 3, row & 7, 0), to = here + halo_step(kMostFilterWidth, kMostFilterWidth, kMostFilterWidth);
+        out(row, edge_preserving<Lanes>([&](int i, int j, int k) { return load(first + here + halo_step(i, j, k)); },
+                                        [&](int i, int j, int k) {
+                                            const int at = to + halo_step(i, j, k);
+                                            return BandNormal<Lanes>{load(x + at), load(y + at), load(z + at)};
+                                        },
+                                        r, band_vox));
+    }
+}
+
+void filter_leaf(const FilterPass& pass, const float* halo, float band_vox, float* result) {
+    const float* first = halo + halo_step(kMostFilterWidth, kMostFilterWidth, kMostFilterWidth);
+    const auto out = [result](int row, const Lanes& v) { std::memcpy(result + 8 * row, &v, sizeof v); };
+    const auto rows = [&](const auto& work) {
+        for (int row = 0; row < 64; ++row) {
+            const float* here = first + halo_step(row >> 3, row & 7, 0);
+            out(row, work([here](int i, int j, int k) { return load(here + halo_step(i, j, k)); }));
+        }
+    };
+    const auto lines = [&](const auto& work) {
+        const int step = halo_step(pass.axis == 0, pass.axis == 1, pass.axis == 2);
+        for (int row = 0; row < 64; ++row) {
+            const float* here = first + halo_step(row >> 3, row & 7, 0);
+            out(row, work([here, step](int n) { return load(here + n * step); }));
+        }
+    };
+    switch (pass.kind) {
+        case FilterPass::Median:
+            if (pass.width == 1) rows([](const auto& at) { return median_around<1, Lanes>(at); });
+            else rows([](const auto& at) { return median_around<2, Lanes>(at); });
+            break;
+        case FilterPass::MeanCurvature: rows([](const auto& at) { return mean_curvature_step<Lanes>(at); }); break;
+        case FilterPass::MeanOfSix: rows([](const auto& at) { return mean_of_six<Lanes>(at); }); break;
+        case FilterPass::Box: lines([&](const auto& line) { return box_along<Lanes>(line, pass.width); }); break;
+        case FilterPass::Least: lines([&](const auto& line) { return least_along<Lanes>(line, pass.width); }); break;
+        case FilterPass::EdgePreserving: edge_preserving_leaf(pass, first, band_vox, out); break;
+    }
+}
+
 }  // namespace
 
 #define VDBCARVE_STRING2(x) #x
@@ -322,7 +389,7 @@ int redistance_leaf(const float* halo, float band_vox, float* out) {
 
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)();
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)() {
-    static constexpr VectorLoops kLoops{VDBCARVE_STRING(VDBCARVE_ISA), raise_leaf, window_distance, measure_leaf, redistance_leaf};
+    static constexpr VectorLoops kLoops{VDBCARVE_STRING(VDBCARVE_ISA), raise_leaf, window_distance, measure_leaf, redistance_leaf, filter_leaf};
     return kLoops;
 }
 

@@ -10,6 +10,7 @@
 
 #include "vdbcarve/kernel/carve.h"
 #include "vdbcarve/kernel/distance.h"
+#include "vdbcarve/kernel/filter.h"
 
 namespace vdbcarve {
 
@@ -42,6 +43,8 @@ struct WindowDistance {
     int32_t* scratch;         ///< window_scratch(width, height) values
 };
 
+inline constexpr int kFilterHalo = 8 + 2 * kernel::kMostFilterWidth, kFilterHaloVoxels = kFilterHalo * kFilterHalo * kFilterHalo;
+
 struct VectorLoops {
     const char* name;
     /// values (cell order) = max(values, kernel::silhouette_value) at all voxels of those cells in `alive` that the view may
@@ -55,6 +58,9 @@ struct VectorLoops {
     void (*measure_leaf)(const float* halo, float band_vox, float* out);
     /// One pass of kernel::eikonal over a leaf, from a halo of such distances. 0 when nothing changed.
     int (*redistance_leaf)(const float* halo, float band_vox, float* out);
+    /// One pass of a filter over a leaf (kernel/filter.h). `halo` is kFilterHalo^3 values, the leaf from kMostFilterWidth on; what the pass
+    /// does not reach may be anything.
+    void (*filter_leaf)(const kernel::FilterPass& pass, const float* halo, float band_vox, float* out);
 };
 
 inline size_t window_scratch(int width, int height) { return static_cast<size_t>(width + 144) * static_cast<size_t>(height + 8) * 4 + 2 * kernel::kMaxReach_px + 128; }

@@ -319,7 +319,7 @@ TEST(MeshFiles, ObjIsTurnedToYUp) {
     } cases[] = {{"x", {1, 0, 0}}, {"y", {0, 1, 0}}, {"z", {0, 0, 1}}, {"-x", {-1, 0, 0}}, {"-y", {0, -1, 0}}, {"-z", {0, 0, -1}}};
     for (const auto& c : cases) {
         t.vertices[0] = c.axis;
-        write_mesh(folder / "t.obj", t, c.up);
+        write_mesh(folder / "t.obj", in_frame(t, file_frame(".obj", {c.up, "", Dcc::None, false})));
         const Mesh back = read_mesh(folder / "t.obj");
         EXPECT_EQ(back.vertices[0], (std::array<float, 3>{0, 1, 0})) << c.up;
         // A rotation, not a mirror: the triple product of the other edges stays.
@@ -403,12 +403,14 @@ TEST(Nvdb, RoundTripKeepsEveryValue) {
     ASSERT_EQ(back.size(), 2u);
     for (size_t n = 0; n < 2; ++n) {
         const openvdb::FloatGrid& was = n ? *density : *surface;
+        ASSERT_TRUE(back[n]->isType<openvdb::FloatGrid>());
+        const auto found = openvdb::gridPtrCast<openvdb::FloatGrid>(back[n]);
         EXPECT_EQ(back[n]->getName(), was.getName());
         EXPECT_EQ(back[n]->getGridClass(), was.getGridClass());
         EXPECT_TRUE(back[n]->transform() == was.transform());
         EXPECT_EQ(back[n]->activeVoxelCount(), was.activeVoxelCount());
         size_t differing = 0;
-        for (auto it = was.cbeginValueAll(); it; ++it) differing += back[n]->tree().getValue(it.getCoord()) != *it;
+        for (auto it = was.cbeginValueAll(); it; ++it) differing += found->tree().getValue(it.getCoord()) != *it;
         EXPECT_EQ(differing, 0u);
     }
     EXPECT_EQ(invalid_nanovdb(to_nanovdb(*surface)), "");

@@ -63,7 +63,7 @@ TEST(Pipeline, WritesTheResultAndItsReport) {
         EXPECT_TRUE(s["seconds"].is_number());
         EXPECT_GT(s["peak_rss_bytes"], 1000000);
     }
-    EXPECT_EQ(names, (std::vector<std::string>{"views", "mask", "distance", "carve", "level_set", "color", "mesh", "export"}));
+    EXPECT_EQ(names, (std::vector<std::string>{"views", "mask", "distance", "carve", "level_set", "color", "filter", "mesh", "smooth", "export"}));
     for (const char* key : {"dims", "voxel_size", "active_voxels", "leaves", "bytes"}) EXPECT_TRUE(r["grid"].contains(key)) << key;
     EXPECT_EQ(r["inputs"].size(), 8u);
 }
@@ -222,7 +222,7 @@ TEST(Pipeline, OccupancyAndDryRun) {
 
 TEST(Pipeline, ColoursReachVolumeMeshAndReport) {
     Job job("ellipsoids", true);
-    job.options.dcc = "houdini";
+    job.options.dcc = Dcc::Houdini;
     job.options.views_grid = job.options.confidence_grid = true;
     job.options.color_leave_out = 4;
     const json r = job.run();

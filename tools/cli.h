@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "vdbcarve/export.h"
 #include "vdbcarve/mask.h"
 #include "vdbcarve/progress.h"
 #include "vdbcarve/views.h"
@@ -36,6 +37,9 @@ Command add_export(CLI::App& program);
 
 /// Where a scene's photographs, cameras and masks are: --images, --cameras, --masks, --mask …
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask);
+
+/// --dcc.
+void add_dcc_option(CLI::App& command, Dcc& dcc);
 
 /// "a,b,c" as numbers. Throws UsageError naming the option.
 std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');

@@ -29,7 +29,7 @@ bool is_volume(const fs::path& file) { return extension_of(file) == ".vdb" || ex
 fs::path source_for(const fs::path& in, const fs::path& out) {
     if (!fs::exists(in)) throw InputError(in.string() + ": no such file or folder");
     if (!fs::is_directory(in)) return in;
-    std::vector<const char*> names{"mesh.ply", "mesh.obj", "mesh.stl"};
+    std::vector<const char*> names{"mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"};
     if (is_volume(out)) names = {"volume.vdb", "hull.vdb"};
     for (const char* name : names)
         if (fs::exists(in / name)) return in / name;
@@ -40,61 +40,93 @@ fs::path source_for(const fs::path& in, const fs::path& out) {
 /// Everything that can be known to fail before anything is written.
 void check_target(const fs::path& from, const fs::path& to) {
     const std::string extension = extension_of(to);
-    if (extension != ".vdb" && extension != ".nvdb" && extension != ".ply" && extension != ".obj" && extension != ".stl")
-        throw UsageError(to.string() + ": the extension says what to write; .vdb, .nvdb, .ply, .obj and .stl are known");
-    if (is_volume(from) != is_volume(to)) throw UsageError(to.string() + " cannot be made of " + from.string() + ": volumes become .vdb or .nvdb, meshes .ply, .obj or .stl");
+    if (extension != ".vdb" && extension != ".nvdb" && extension != ".ply" && extension != ".obj" && extension != ".stl" && extension != ".glb")
+        throw UsageError(to.string() + ": the extension says what to write; .vdb, .nvdb, .ply, .obj, .stl and .glb are known");
+    if (is_volume(from) != is_volume(to)) throw UsageError(to.string() + " cannot be made of " + from.string() + ": volumes become .vdb or .nvdb, meshes .ply, .obj, .stl or .glb");
     if (extension != to.extension().string()) throw UsageError(to.string() + ": write the extension in small letters");
     std::error_code ignored;
     if (fs::equivalent(from, to, ignored)) throw UsageError(to.string() + ": is the input itself");
 }
 
-/// The up axis that a result's report states, or nothing.
-std::string up_of(const fs::path& folder) {
-    try {
-        std::ifstream in(folder / "report.json");
-        return in ? nlohmann::json::parse(in).at("cameras").at("up").get<std::string>() : "";
-    } catch (const nlohmann::json::exception&) {
-        return "";
+struct Raw {
+    std::string in;
+    std::vector<std::string> out;
+    FrameRequest frame;  ///< of the input, and what is wanted
+    bool half = false;
+};
+
+/// The frame of an input: what was said, what a result's report says of its file, or what the format always is.
+FrameRequest frame_of(const Raw& raw, const fs::path& source) {
+    FrameRequest out = raw.frame;
+    if (fs::is_directory(raw.in)) {
+        try {
+            std::ifstream in(fs::path(raw.in) / "report.json");
+            const auto report = nlohmann::json::parse(in);
+            const auto& said = report.contains("files") && report["files"].contains(source.filename().string()) ? report["files"][source.filename().string()] : report.at("cameras");
+            if (out.up.empty()) out.up = said.at("up").get<std::string>();
+            if (out.units.empty()) out.units = said.at("units").get<std::string>();
+        } catch (const nlohmann::json::exception&) {
+            // A report that was damaged says nothing.
+        }
+    } else if (const std::string extension = extension_of(source); extension == ".glb" || extension == ".obj") {
+        if (out.up.empty()) out.up = "y";
+        if (out.units.empty() && extension == ".glb") out.units = "m";
     }
+    return out;
 }
 
-void convert(const fs::path& from, const fs::path& to, const std::string& up) {
-    if (!is_volume(from)) {
-        write_mesh(to, read_mesh(from), up);
+void convert_volume(const fs::path& from, const fs::path& to, FrameRequest request, bool half) {
+    openvdb::MetaMap metadata;
+    const openvdb::GridPtrVec all = extension_of(from) == ".nvdb" ? read_nvdb(from) : read_vdb(from, &metadata);
+    const auto said = [&](const char* key, std::string& value) {
+        if (const auto found = metadata[key]; found && value.empty() && found->str() != "unknown") value = found->str();
+    };
+    said("up_axis", request.up);
+    said("units", request.units);
+    const FileFrame frame = file_frame(extension_of(to), request);
+    openvdb::GridCPtrVec grids;
+    for (const openvdb::GridBase::Ptr& grid : all) {
+        if (extension_of(to) == ".nvdb" && !grid->isType<openvdb::FloatGrid>() && !grid->isType<openvdb::Vec3SGrid>() && !grid->isType<openvdb::Int32Grid>() && !grid->isType<openvdb::MaskGrid>()) {
+            spdlog::warn("grid '{}' ({}) is left out: NanoVDB has no such type", grid->getName(), grid->valueType());
+            continue;
+        }
+        if (request.dcc != Dcc::None && grid->isType<openvdb::Vec3SGrid>() && (grid->getName() == "color" || grid->getName() == "Cd")) grid->setName(color_grid_name(request.dcc));
+        grids.push_back(in_frame(openvdb::GridBase::ConstPtr(grid), frame));
+    }
+    if (grids.empty()) throw InputError(from.string() + ": has no grid that can be written");
+    if (extension_of(to) == ".nvdb") {
+        write_nvdb(to, grids);
         return;
     }
-    std::vector<openvdb::FloatGrid::Ptr> grids;
-    if (extension_of(from) == ".nvdb") {
-        grids = read_nvdb(from);
-    } else {
-        for (const openvdb::GridBase::Ptr& grid : read_vdb(from)) {
-            if (auto f = openvdb::gridPtrCast<openvdb::FloatGrid>(grid)) grids.push_back(f);
-            else spdlog::warn("grid '{}' ({}) is left out: only float grids are converted", grid->getName(), grid->valueType());
-        }
-    }
-    if (grids.empty()) throw InputError(from.string() + ": has no float grid");
-    if (extension_of(to) == ".nvdb") {
-        write_nvdb(to, {grids.begin(), grids.end()});
-    } else {
-        VdbMetadata metadata;
-        metadata.voxel_size = grids.front()->voxelSize()[0];
-        write_vdb(to, {grids.begin(), grids.end()}, metadata);
-    }
+    const auto set = [&](const char* key, const openvdb::Metadata& value) {
+        metadata.removeMeta(key);
+        metadata.insertMeta(key, value);
+    };
+    set("up_axis", openvdb::StringMetadata(frame.up.empty() ? "unknown" : frame.up));
+    set("units", openvdb::StringMetadata(frame.units.empty() ? "unknown" : frame.units));
+    set("voxel_size", openvdb::DoubleMetadata(grids.front()->voxelSize()[0]));
+    write_vdb(to, grids, metadata, half);
+}
+
+void convert(const Raw& raw, const fs::path& from, const fs::path& to) {
+    const FrameRequest request = frame_of(raw, from);
+    if (is_volume(from)) convert_volume(from, to, request, raw.half);
+    else write_mesh(to, in_frame(read_mesh(from), file_frame(extension_of(to), request)));
 }
 
 }  // namespace
 
 Command add_export(CLI::App& program) {
-    struct Raw {
-        std::string in, up;
-        std::vector<std::string> out;
-    };
     auto raw = std::make_shared<Raw>();
-    CLI::App* app = program.add_subcommand("export", "convert a result or a file: .vdb .nvdb (float grids); .ply .obj .stl");
+    CLI::App* app = program.add_subcommand("export", "convert a result or a file: .vdb .nvdb; .ply .obj .stl .glb");
     app->fallthrough();
     app->add_option("in", raw->in, "a result's folder, a volume or a mesh")->required();
     app->add_option("-o,--output", raw->out, "files to write, by extension")->required();
-    app->add_option("--up", raw->up, "the input's up axis, turned to y in .obj (default: what a result's report says)")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
+    app->add_option("--up", raw->frame.up, "the input's up axis (default: what a result's report or a volume's metadata say; y of .obj and .glb)")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
+    app->add_option("--units", raw->frame.units, "the input's unit of length: m, cm, mm, inch … (default: likewise)");
+    add_dcc_option(*app, raw->frame.dcc);
+    app->add_flag("--stl-mm", raw->frame.stl_mm, ".stl in millimetres, for printers");
+    app->add_flag("--vdb-half", raw->half, "16-bit floats in .vdb: half the size, three digits");
     return {app, [raw](Common&, Progress& progress) {
                 std::vector<fs::path> sources;
                 for (const std::string& out : raw->out) {
@@ -103,7 +135,7 @@ Command add_export(CLI::App& program) {
                 }
                 for (size_t n = 0; n < raw->out.size(); ++n) {
                     progress.check();
-                    convert(sources[n], raw->out[n], raw->up.empty() && fs::is_directory(raw->in) ? up_of(raw->in) : raw->up);
+                    convert(*raw, sources[n], raw->out[n]);
                     spdlog::info("{} -> {}", sources[n].string(), raw->out[n]);
                 }
                 return 0;

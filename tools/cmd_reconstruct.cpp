@@ -15,6 +15,7 @@ namespace {
 struct Raw {
     ReconstructOptions options;
     std::string bounds, grid, origin;
+    double pass_band = 0;
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
 
@@ -47,6 +48,7 @@ void read_raw(Raw& raw) {
         const auto p = numbers("--origin", raw.origin, 3);
         o.origin = Vec3d(p[0], p[1], p[2]);
     }
+    if (raw.pass_band > 0) o.smooth.mu = mu_for(o.smooth.lambda, raw.pass_band);
     o.views.allow_missing = o.mask.allow_missing;
 }
 
@@ -65,6 +67,13 @@ std::string config_of(const CLI::App& program, const std::string& command) {
 }
 
 }  // namespace
+
+void add_dcc_option(CLI::App& command, Dcc& dcc) {
+    static const std::map<std::string, Dcc> names{{"none", Dcc::None}, {"blender", Dcc::Blender}, {"houdini", Dcc::Houdini}, {"maya", Dcc::Maya}};
+    command.add_option("--dcc", dcc, "axes, units and colour grid's name for a program, in volumes and meshes alike: blender (z up, m), houdini (y up, m, Cd), maya (y up, cm), none")
+        ->transform(CLI::CheckedTransformer(names, CLI::ignore_case))
+        ->group("Result");
+}
 
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask) {
     CLI::App* app = &command;
@@ -169,8 +178,28 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         static const std::map<std::string, bool> onoff{{"on", true}, {"off", false}};
         app->add_option("--color-occlusion", o.color.test_occlusion, "off: hidden surfaces take the colour of what stands before them, as in the paper")->transform(CLI::CheckedTransformer(onoff, CLI::ignore_case))->group("Colour");
         app->add_flag("--paper", o.color.skip_upright, "with --color best: faces that look straight up or down (within 2.6 degrees) are left to the fill (the paper's listing 4.2)")->group("Colour");
-        app->add_option("--dcc", o.dcc, "names the colour grid for a program: none, blender, maya (color) or houdini (Cd)")->check(CLI::IsMember({"none", "blender", "houdini", "maya"}))->capture_default_str()->group("Result");
-        app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,stl")->delimiter(',')->capture_default_str()->group("Result");
+        app->add_option_function<std::string>("--filter", [raw](const std::string& text) {
+            raw->options.filters.reset();
+            if (text != "auto") raw->options.filters = parse_filters(text);
+        }, "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: median:1 for soft masks, edge-preserving:2x2 for others")->default_str("auto")->group("Filter");
+        app->add_flag("!--no-volume-repair", o.repair_volume, "leave the volume as the filter leaves it")->group("Filter");
+        app->add_option("--keep-thin", o.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Filter");
+        static const std::map<std::string, bool> bases{{"hull", false}, {"flat", true}};
+        app->add_option("--base", o.flat_base, "the foot: hull (default; bulges where only slanted views bound it) or flat, cut where the lowest contour was seen (needs an up axis)")
+            ->transform(CLI::CheckedTransformer(bases, CLI::ignore_case))->group("Result");
+        app->add_option("--cap-tolerance", o.cap_tolerance, "surface farther beyond the highest and lowest contours seen counts as extrapolated, scene units (default: 2 voxels)")->check(CLI::NonNegativeNumber)->group("Result");
+        app->add_flag("--quads", o.quads, "keep quads in .ply and .obj (--mesher dual)")->group("Mesh");
+        app->add_option("--min-piece", o.min_piece_share, "pieces with less of the mesh's volume are left out, as a share")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
+        app->add_option("--smooth", o.smooth_iterations, "iterations of Taubin's smoothing (default 0; 10 with --occupancy --filter none)")->check(CLI::Range(0, 10000))->group("Mesh");
+        app->add_option("--smooth-lambda", o.smooth.lambda, "its shrinking factor")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
+        app->add_option("--smooth-mu", o.smooth.mu, "its growing factor, less than the other's negative")->capture_default_str()->check(CLI::Range(-2.0, 0.0))->group("Mesh");
+        app->add_option("--smooth-pass-band", raw->pass_band, "the same by the frequency that passes, 1/lambda + 1/mu (0.1)")->group("Mesh");
+        app->add_option("--faces", o.faces, "decimate to so many faces")->check(CLI::Range(4, 2000000000))->group("Mesh");
+        app->add_option("--max-error", o.max_error, "decimate as far as no point moves by more, scene units")->check(CLI::PositiveNumber)->group("Mesh");
+        add_dcc_option(*app, o.dcc);
+        app->add_flag("--vdb-half", o.vdb_half, "16-bit floats in volume.vdb: half the size, three digits")->group("Result");
+        app->add_flag("--stl-mm", o.stl_mm, "mesh.stl in millimetres, for printers (needs --units, or a scene that says them)")->group("Result");
+        app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,glb,stl")->delimiter(',')->capture_default_str()->group("Result");
     }
     app->add_option("--up", o.views.up, "world up axis: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group("Result");
     app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, inch …")->group("Result");

@@ -18,6 +18,7 @@
 #include "vdbcarve/carve.h"
 #include "vdbcarve/color.h"
 #include "vdbcarve/distance.h"
+#include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/triangle_mesh.h"
 
@@ -64,6 +65,9 @@ class DevicePipeline {
 
     /// Colours the surface, which must be `surface`. Masks and fields on the device are replaced by colouring's own. Errors like color().
     ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress);
+
+    /// Filters the surface in its place. The result's grid and counts of pieces are not set: surface() brings it home. Errors like filter().
+    FilterResult filter(const FilterOptions& options, Progress& progress);
 
     /// Marching cubes of the surface, on the device. False where only extract_mesh() of the grid on the CPU can: no level set with
     /// a whole band is such (cuda/mesh_cuda.h).

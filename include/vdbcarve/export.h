@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stage `export`: volumes to and from .vdb and .nvdb files.
+// Stage `export`: volumes to and from .vdb and .nvdb files; axes and units of all files.
 #pragma once
 
 #include <openvdb/openvdb.h>
 
+#include <array>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
+
+#include "vdbcarve/triangle_mesh.h"
 
 namespace vdbcarve {
 
@@ -20,19 +24,62 @@ struct VdbMetadata {
 /// Writes grids into one .vdb, blosc-compressed where OpenVDB can; appears by rename and holds the same bytes
 /// for the same grids: the random identifier in OpenVDB's header is replaced by one made from the content.
 /// Throws OutputError.
-void write_vdb(const std::filesystem::path& file, const openvdb::GridCPtrVec& grids, const VdbMetadata& metadata);
+/// `half`: floats take 16 bits on disk, three digits of each; in memory they are whole again.
+void write_vdb(const std::filesystem::path& file, const openvdb::GridCPtrVec& grids, const VdbMetadata& metadata, bool half = false);
+/// The same with metadata of another file, which then says who made it.
+void write_vdb(const std::filesystem::path& file, const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& metadata, bool half = false);
 
-/// All grids of a file. Throws InputError.
-openvdb::GridPtrVec read_vdb(const std::filesystem::path& file);
+/// All grids of a file, and its metadata where asked for. Throws InputError.
+openvdb::GridPtrVec read_vdb(const std::filesystem::path& file, openvdb::MetaMap* metadata = nullptr);
 
 /// The float grid of that name. Throws InputError naming what the file holds instead.
 openvdb::FloatGrid::Ptr read_float_grid(const std::filesystem::path& file, const std::string& name);
 
-/// Writes float grids into one .nvdb, uncompressed (every reader opens it), with statistics and checksums; appears by rename,
-/// same bytes for the same grids. Throws OutputError.
-void write_nvdb(const std::filesystem::path& file, const std::vector<openvdb::FloatGrid::ConstPtr>& grids);
+/// Writes grids (float, Vec3S, Int32, mask …) into one .nvdb, uncompressed (every reader opens it), with statistics and checksums; appears by rename,
+/// same bytes for the same grids. Throws OutputError, and UsageError for a type that NanoVDB has not.
+void write_nvdb(const std::filesystem::path& file, const openvdb::GridCPtrVec& grids);
 
-/// The float grids of a .nvdb. Throws InputError.
-std::vector<openvdb::FloatGrid::Ptr> read_nvdb(const std::filesystem::path& file);
+/// The grids of a .nvdb. Throws InputError.
+openvdb::GridPtrVec read_nvdb(const std::filesystem::path& file);
+
+/// The program that files are made for: name of the colour grid, axes and units of all of them.
+enum class Dcc {
+    None,     ///< the scene's own, as far as the format lets it
+    Blender,  ///< z up, metres; color
+    Houdini,  ///< y up, metres; Cd
+    Maya      ///< y up, centimetres; color
+};
+const char* color_grid_name(Dcc dcc);
+
+/// How coordinates in a file come from the scene's: x_file = scale * axes * x_scene.
+struct FileFrame {
+    std::array<std::array<int, 3>, 3> axes{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};  ///< a rotation of -1, 0 and 1
+    double scale = 1;
+    std::string up;     ///< of the file's coordinates; empty: unknown
+    std::string units;  ///< m, cm, mm or the scene's own; empty: unknown
+    bool operator==(const FileFrame&) const = default;
+};
+
+/// Metres to a unit ("m", "cm", "mm", "km", "inch", "ft" and their longer names), or nothing where it is not known.
+std::optional<double> metres_per(const std::string& unit);
+
+/// What a scene's axis and unit are, and what files are wanted for.
+struct FrameRequest {
+    std::string up;     ///< x, y, z, -x, -y, -z; empty: unknown
+    std::string units;
+    Dcc dcc = Dcc::None;
+    bool stl_mm = false;
+};
+
+/// The frame of files with an extension. .obj and .glb are turned to y up, always: their readers turn them back; .glb is in metres where the unit is known.
+/// The rest is the scene's, or what `dcc` says. Axes and units that are not known stay as they are. Throws UsageError for another up axis, and for
+/// stl_mm where the unit is not known.
+FileFrame file_frame(const std::string& extension, const FrameRequest& request);
+
+/// The mesh with positions and normals in the frame.
+Mesh in_frame(Mesh mesh, const FileFrame& frame);
+/// The grid with its voxels moved, so that its transform still only scales and shifts; distances of level sets are scaled. Float, Vec3S,
+/// Int32 and mask grids whose transform scales evenly by voxel and shifts. Throws InputError for others. The very same grid where nothing changes.
+openvdb::GridBase::ConstPtr in_frame(const openvdb::GridBase::ConstPtr& grid, const FileFrame& frame);
 
 }  // namespace vdbcarve

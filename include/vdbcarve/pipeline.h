@@ -12,10 +12,13 @@
 #include "vdbcarve/backend.h"
 #include "vdbcarve/color.h"
 #include "vdbcarve/distance.h"
+#include "vdbcarve/export.h"
+#include "vdbcarve/filter.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/mask.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/progress.h"
+#include "vdbcarve/smooth.h"
 #include "vdbcarve/triangle_mesh.h"
 #include "vdbcarve/views.h"
 
@@ -45,20 +48,35 @@ struct ReconstructOptions {
     double adaptivity = 0;
     Mesher mesher = Mesher::Dual;
     bool normals = false;                            ///< of the mesh, Mesher::MarchingCubes
+    bool quads = false;                              ///< keep quads in .ply and .obj, Mesher::Dual
+    double min_piece_share = 1e-3;                   ///< pieces of the mesh with less of its volume are left out
+
+    std::optional<std::vector<FilterStep>> filters;  ///< none: chosen by how soft the masks are (src/filter.md)
+    bool repair_volume = true;
+    double keep_thin_vox = 4;                        ///< see FilterOptions; lowered to what the half-width allows
+    std::optional<int> smooth_iterations;            ///< none: 0, or 10 for an occupancy that is not filtered
+    SmoothOptions smooth;                            ///< its factors
+    size_t faces = 0;                                ///< decimate to so many; 0: no
+    double max_error = 0;                            ///< decimate as far as this allows, scene units; 0: no
+
+    bool flat_base = false;                          ///< cut the foot by a plane where the lowest contour was seen; needs an up axis
+    double cap_tolerance = 0;                        ///< surface farther beyond the highest and lowest contours is called extrapolated, scene units; 0: two voxels
 
     /// How the surface is coloured; mode None: not. Gains, backend, device and `up` are set by the job; `batch` is lowered to keep within memory_limit.
     ColorOptions color;
     bool color_from_photos = false;                  ///< vertex colours straight from the photographs, not from the volume
     int color_leave_out = 0;                         ///< every so manieth view is left out of colouring, to be compared with (evaluate --photos); 0: none
     bool views_grid = false, confidence_grid = false;  ///< further grids of volume.vdb
-    std::string dcc = "none";                        ///< none, blender, houdini, maya: the colour grid's name
+    Dcc dcc = Dcc::None;                             ///< axes, units and the colour grid's name in all volumes and meshes
+    bool vdb_half = false;                           ///< volume.vdb with 16-bit floats
+    bool stl_mm = false;                             ///< mesh.stl in millimetres
 
     /// Resident memory that may be used, bytes; 0: nine tenths of the machine's. Fields are made in batches and the hull
     /// is carved in bricks where it would not do otherwise.
     size_t memory_limit = 0;
 
     std::filesystem::path output;
-    std::vector<std::string> mesh_formats{"ply"};
+    std::vector<std::string> mesh_formats{"ply", "glb"};
     Backend backend = Backend::Auto;
     int device = 0;                                  ///< number of the CUDA device
     LastStage last_stage = LastStage::Export;

@@ -18,6 +18,10 @@ struct Mesh {
     std::vector<std::array<float, 3>> colors{};       ///< RGB, linear light 0..1, one a vertex; or none
     /// Texture coordinates of each triangle's corners, v upwards; or none. Read from .obj, never written.
     std::vector<std::array<std::array<float, 2>, 3>> texcoords{};
+    /// 1 where no silhouette was seen to end and only the cones of others bound the surface (caps.h), one a vertex; or none.
+    std::vector<uint8_t> extrapolated{};
+    /// So many pairs of triangles at the end are the halves of quads a, b, c, d: (a, b, c) and (a, c, d).
+    size_t quads = 0;
 };
 
 struct MeshMeasures {
@@ -36,12 +40,26 @@ struct MeshMeasures {
 /// Time O(faces log faces).
 MeshMeasures measure(const Mesh& mesh);
 
-/// Reads .ply, .obj, .stl and .off; polygons are cut into fans. Vertex colours are taken to be sRGB. Throws InputError.
+/// What drop_small_pieces() did.
+struct DroppedPieces {
+    size_t pieces = 0, kept = 0;
+    double volume_share = 0;  ///< of all pieces' volumes, each taken as positive
+};
+
+/// Takes away connected pieces whose share of the volume (hollows count as positive) is less than `least_share`; vertices and faces keep their order. The largest piece always stays.
+DroppedPieces drop_small_pieces(Mesh& mesh, double least_share);
+
+/// Unit normals of the vertices, from the faces around by area. A vertex whose faces cancel gets the normal of one of them.
+std::vector<std::array<float, 3>> vertex_normals(const Mesh& mesh);
+
+/// Reads .ply, .obj, .stl, .off and .glb (all meshes of the scene, placed; in its own axes); polygons are cut into fans. Vertex colours are taken to
+/// be sRGB, those of .glb linear. Throws InputError.
 Mesh read_mesh(const std::filesystem::path& file);
 
-/// Writes .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue], triangles), .obj (v x y z [r g b]) or .stl (binary) by
-/// extension; colours as sRGB. Appears by rename. OBJ is turned from `up` ("x", "y", "z", "-x" …; empty: as it is) to y up, the others keep
-/// the scene's axes. Throws OutputError, and UsageError for another extension.
-void write_mesh(const std::filesystem::path& file, const Mesh& mesh, const std::string& up = {});
+/// Writes, by extension: .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue] [extrapolated]), .obj (v x y z [r g b], and a
+/// .mtl beside it), .stl (binary), .glb (float positions and normals, COLOR_0 as linear 16-bit RGBA, a matt material; _EXTRAPOLATED). Quads stay whole in .ply and
+/// .obj. Colours are sRGB elsewhere. Coordinates are written as they are: see export.h for axes and units. Appears by rename.
+/// Throws OutputError, and UsageError for another extension.
+void write_mesh(const std::filesystem::path& file, const Mesh& mesh);
 
 }  // namespace vdbcarve

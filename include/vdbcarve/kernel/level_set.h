@@ -57,6 +57,21 @@ VDBCARVE_HD float eikonal(float x, float y, float z) {
     return up_to_two <= c ? up_to_two : three;
 }
 
+struct BandVoxel {
+    float distance_vox;  ///< signed; at least the half-width where not active
+    bool active;
+};
+
+/// A voxel of the band from its solved magnitude and its side, the surface moved outwards by `offset_vox`.
+VDBCARVE_HD BandVoxel band_voxel(float magnitude_vox, bool inside, float offset_vox, float half_width_vox) {
+    float d = inside ? -magnitude_vox : magnitude_vox;
+    if (offset_vox != 0.f) {
+        d -= offset_vox;
+        if (std::fabs(d) < kLeastDistance) d = -kLeastDistance;
+    }
+    return {d, std::fabs(d) < half_width_vox};
+}
+
 /// A pass reaches one voxel on; along a space diagonal a distance of w takes sqrt(3) w steps.
 VDBCARVE_HD int level_set_passes(int half_width_vox) { return static_cast<int>(std::ceil(std::sqrt(3.0) * half_width_vox)) + 1; }
 

@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/caps.h"
+
+#include <openvdb/tools/Interpolation.h>
+#include <openvdb/tree/LeafManager.h>
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <Eigen/Eigenvalues>
+#include <cmath>
+#include <limits>
+
+#include "redistance.h"
+#include "vdbcarve/error.h"
+
+namespace vdbcarve {
+namespace {
+
+using Leaf = openvdb::FloatTree::LeafNodeType;
+using openvdb::Coord;
+
+/// The object's middle: that of its leaves.
+Vec3d middle_of(const openvdb::FloatGrid& surface, double& radius) {
+    openvdb::CoordBBox box;
+    surface.tree().evalLeafBoundingBox(box);
+    const openvdb::Vec3d lo = surface.indexToWorld(box.min().asVec3d()), hi = surface.indexToWorld(box.max().asVec3d());
+    radius = 0.5 * (hi - lo).length();
+    const openvdb::Vec3d c = 0.5 * (lo + hi);
+    return {c.x(), c.y(), c.z()};
+}
+
+struct Range {
+    double low = std::numeric_limits<double>::infinity(), high = -std::numeric_limits<double>::infinity();
+    bool any() const { return low <= high; }
+};
+
+/// Heights at which a line of sight is within half a voxel of the inside.
+Range heights_inside(const openvdb::FloatGrid& surface, const Camera::Ray& ray, const Vec3d& axis, const Vec3d& middle, double radius) {
+    using Sampler = openvdb::tools::GridSampler<openvdb::FloatGrid::ConstAccessor, openvdb::tools::BoxSampler>;
+    openvdb::FloatGrid::ConstAccessor access = surface.getConstAccessor();
+    const Sampler sampler(access, surface.transform());
+    const double voxel = surface.voxelSize()[0], along = (middle - ray.origin).dot(ray.direction);
+    Range out;
+    for (double t = along - radius; t < along + radius; t += 0.5 * voxel) {
+        const Vec3d x = ray.origin + t * ray.direction;
+        if (sampler.wsSample(openvdb::Vec3d(x.x(), x.y(), x.z())) > 0.5 * voxel) continue;
+        out.low = std::min(out.low, x.dot(axis));
+        out.high = std::max(out.high, x.dot(axis));
+    }
+    return out;
+}
+
+}  // namespace
+
+Vec3d orbit_axis(const std::vector<Camera>& cameras) {
+    Vec3d mean = Vec3d::Zero(), forward = Vec3d::Zero();
+    for (const Camera& c : cameras) {
+        mean += c.centre_world() / static_cast<double>(cameras.size());
+        forward += c.forward_world();
+    }
+    Mat3d spread = Mat3d::Zero();
+    for (const Camera& c : cameras) {
+        const Vec3d d = c.centre_world() - mean;
+        spread += d * d.transpose();
+    }
+    const Eigen::SelfAdjointEigenSolver<Mat3d> solver(spread);
+    Vec3d axis = solver.eigenvectors().col(0);
+    if (axis.dot(forward) > 0) axis = -axis;
+    return axis;
+}
+
+SeenExtent seen_extent(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const Vec3d& axis) {
+    double radius = 0;
+    const Vec3d middle = middle_of(surface, radius);
+    std::vector<Range> tops(cameras.size()), bottoms(cameras.size());
+    tbb::parallel_for(size_t{0}, cameras.size(), [&](size_t v) {
+        const auto& mask = masks[v].coverage;
+        if (mask.empty()) return;
+        const auto a = cameras[v].project(middle - 1e-3 * radius * axis), b = cameras[v].project(middle + 1e-3 * radius * axis);
+        if (!a || !b || (*b - *a).norm() == 0) return;
+        const Vec2d up = (*b - *a).normalized();
+        struct End {
+            double height = -std::numeric_limits<double>::infinity();
+            int x = 0, y = 0;
+        } ends[2];
+        for (int y = 0; y < mask.height; ++y)
+            for (int x = 0; x < mask.width; ++x) {
+                if (mask.at(x, y) < 128) continue;
+                const double h = x * up.x() + y * up.y();
+                if (h > ends[0].height) ends[0] = {h, x, y};
+                if (-h > ends[1].height) ends[1] = {-h, x, y};
+            }
+        for (int e = 0; e < 2; ++e) {
+            const End& end = ends[e];
+            if (!std::isfinite(end.height) || end.x == 0 || end.y == 0 || end.x == mask.width - 1 || end.y == mask.height - 1) continue;  // cut by the frame
+            (e == 0 ? tops : bottoms)[v] = heights_inside(surface, cameras[v].ray(Vec2d(end.x + 0.5, end.y + 0.5)), axis, middle, radius);
+        }
+    });
+    SeenExtent out;
+    for (size_t v = 0; v < cameras.size(); ++v) {
+        if (tops[v].any() && (!out.top_seen || tops[v].low > out.highest)) {
+            out.top_seen = true;
+            out.highest = tops[v].low;
+        }
+        if (bottoms[v].any() && (!out.bottom_seen || bottoms[v].high < out.lowest)) {
+            out.bottom_seen = true;
+            out.lowest = bottoms[v].high;
+        }
+    }
+    return out;
+}
+
+Extrapolation mark_extrapolated(Mesh& mesh, const std::vector<Camera>& cameras, const SeenExtent& seen, const Vec3d& axis, double tolerance) {
+    const auto normals = mesh.normals.empty() ? vertex_normals(mesh) : mesh.normals;
+    const auto point = [&](size_t v) { return Vec3d(mesh.vertices[v][0], mesh.vertices[v][1], mesh.vertices[v][2]); };
+    enum : uint8_t { kSeen, kCapped, kUnseen };
+    std::vector<uint8_t> kind(mesh.vertices.size(), kSeen);
+    std::vector<Vec3d> centres, forwards;
+    for (const Camera& c : cameras) {
+        centres.push_back(c.centre_world());
+        forwards.push_back(c.forward_world());
+    }
+    tbb::parallel_for(tbb::blocked_range<size_t>(0, mesh.vertices.size(), 4096), [&](const tbb::blocked_range<size_t>& range) {
+        for (size_t v = range.begin(); v < range.end(); ++v) {
+            const Vec3d x = point(v), n(normals[v][0], normals[v][1], normals[v][2]);
+            const double h = x.dot(axis);
+            if ((seen.top_seen && h > seen.highest + tolerance) || (seen.bottom_seen && h < seen.lowest - tolerance)) {
+                kind[v] = kCapped;
+                continue;
+            }
+            bool faced = false;
+            for (size_t c = 0; c < cameras.size() && !faced; ++c) {
+                const Intrinsics& k = cameras[c].intrinsics;
+                if (!((k.orthographic ? Vec3d(-forwards[c]) : Vec3d(centres[c] - x)).dot(n) > 0)) continue;
+                const auto p = cameras[c].project(x);
+                faced = p && p->x() >= 0 && p->y() >= 0 && p->x() <= k.width_px && p->y() <= k.height_px;
+            }
+            if (!faced) kind[v] = kUnseen;
+        }
+    });
+    Extrapolation out;
+    mesh.extrapolated.resize(mesh.vertices.size());
+    for (size_t v = 0; v < mesh.vertices.size(); ++v) {
+        mesh.extrapolated[v] = kind[v] != kSeen;
+        const double h = point(v).dot(axis);
+        if (seen.top_seen) out.top_beyond = std::max(out.top_beyond, h - seen.highest);
+        if (seen.bottom_seen) out.bottom_beyond = std::max(out.bottom_beyond, seen.lowest - h);
+    }
+    double all = 0;
+    for (const auto& t : mesh.triangles) {
+        const Vec3d a = point(t[0]);
+        const double third = (point(t[1]) - a).cross(point(t[2]) - a).norm() / 3;
+        for (uint32_t v : t) {
+            all += third;
+            if (kind[v] == kCapped) out.capped_share += third;
+            if (kind[v] == kUnseen) out.unseen_share += third;
+        }
+    }
+    if (all > 0) {
+        out.capped_share /= all;
+        out.unseen_share /= all;
+    }
+    return out;
+}
+
+openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& up, double height, Progress& progress) {
+    const double voxel = surface->voxelSize()[0];
+    const int half_width = static_cast<int>(std::lround(surface->background() / voxel));
+    const float band = surface->background();
+    /// Signed distance of a voxel to the half-space below the plane, positive there.
+    const auto below = [&](const openvdb::Vec3d& index) {
+        const openvdb::Vec3d x = surface->indexToWorld(index);
+        return height - (x.x() * up.x() + x.y() * up.y() + x.z() * up.z());
+    };
+    openvdb::FloatTree& tree = surface->tree();
+    // Tiles inside become leaves where the plane's band crosses them, and outside below it.
+    struct Tile {
+        Coord origin;
+        int side;
+    };
+    std::vector<Tile> tiles;
+    openvdb::FloatTree::ValueAllCIter tile = tree.cbeginValueAll();
+    tile.setMaxDepth(openvdb::FloatTree::ValueAllCIter::LEAF_DEPTH - 1);
+    for (; tile; ++tile)
+        if (*tile < 0.f) tiles.push_back({tile.getBoundingBox().min(), tile.getBoundingBox().dim().x()});
+    const double corner = 0.5 * std::sqrt(3.0) * 8 * voxel;
+    for (const Tile& t : tiles)
+        for (int i = 0; i < t.side; i += 8)
+            for (int j = 0; j < t.side; j += 8)
+                for (int k = 0; k < t.side; k += 8) {
+                    const Coord c = t.origin.offsetBy(i, j, k);
+                    const double d = below(c.asVec3d() + openvdb::Vec3d(3.5));
+                    if (d > band + corner) tree.addTile(1, c, band, false);
+                    else if (d > -band - corner) tree.touchLeaf(c);
+                }
+    openvdb::tree::LeafManager<openvdb::FloatTree>(tree).foreach ([&](Leaf& leaf, size_t) {
+        for (openvdb::Index at = 0; at < Leaf::SIZE; ++at) {
+            const auto cut = static_cast<float>(std::clamp(below(leaf.offsetToGlobalCoord(at).asVec3d()), -static_cast<double>(band), static_cast<double>(band)));
+            leaf.setValueOnly(at, std::max(leaf.getValue(at), cut));
+        }
+    });
+    try {
+        return redistance(std::move(surface), half_width, nullptr, progress);
+    } catch (const InputError&) {
+        throw InputError("--base flat: nothing of the object lies above the plane at " + std::to_string(height));
+    }
+}
+
+}  // namespace vdbcarve
