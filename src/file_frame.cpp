@@ -83,6 +83,9 @@ openvdb::GridBase::Ptr turn(const Grid& grid, const FileFrame& frame) {
         const double o = first[static_cast<int>(map.from[a])];
         origin[static_cast<int>(a)] = frame.scale * (map.mirrored[a] ? -o : o);
     }
+    // OpenVDB calls a transform whose determinant is below 3e-15 singular.
+    if (const double side = voxel.x() * frame.scale; side * side * side < 4e-15)
+        throw OutputError("grid '" + grid.getName() + "': voxels of " + std::to_string(1e6 * side) + "e-6 " + frame.units + " are too small for OpenVDB. Remedy: another --dcc, or none");
     auto placed = openvdb::math::Transform::createLinearTransform(voxel.x() * frame.scale);
     placed->postTranslate(origin + openvdb::Vec3d(0.5 * voxel.x() * frame.scale));
     out->setTransform(placed);

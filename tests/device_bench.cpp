@@ -83,6 +83,47 @@ void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid,
     }
 }
 
+void bench_filter(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
+    openvdb::initialize();
+    std::vector<CarveInput> inputs = scene.inputs();
+    CarveOptions c;
+    c.bounds_world = scene.bounds;
+    c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / *std::max_element(grid.begin(), grid.end());
+    const FieldPlan plan = plan_fields(scene.cameras, c);
+    DistanceOptions d;
+    d.scale = plan.scale;
+    d.reach_samples = plan.reach_samples;
+    DevicePipeline device;
+    device.upload(scene.mask_views());
+    device.distance(d);
+    device.carve(inputs, c, progress);
+    device.level_set({});
+    const auto surface = device.surface();
+    std::printf("%u leaves\n", surface->tree().leafCount());
+    for (const char* chain : {"median:1", "laplacian:1x2", "gaussian:1", "edge-preserving:2", "edge-preserving:2x2"}) {
+        FilterOptions o;
+        o.steps = parse_filters(chain);
+        std::map<std::string, std::vector<double>> steps;
+        for (int run = 0; run < 8; ++run) {
+            device.set_surface(*surface);
+            device.clear_times();
+            const auto start = std::chrono::steady_clock::now();
+            device.filter(o, progress);
+            device.extract_mesh(false);
+            device.wait();
+            const double wall = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+            if (run == 0) continue;
+            for (const auto& [name, ms] : device.milliseconds()) steps[name].push_back(ms);
+            steps["wall, filter and mesh"].push_back(wall);
+        }
+        std::printf("%s\n", chain);
+        for (auto& [name, ms] : steps) {
+            std::sort(ms.begin(), ms.end());
+            std::printf("  %-34s %8.2f ms\n", name.c_str(), ms[ms.size() / 2]);
+        }
+    }
+}
+
 int run(const std::vector<std::string>& words) {
     Progress progress;
     progress.on_note = [](const std::string& note) { std::cerr << note << "\n"; };
@@ -139,6 +180,8 @@ int run(const std::vector<std::string>& words) {
         write_vdb(words[3], {hull}, metadata);
     } else if (what == "color" && words.size() == 3) {
         bench_color(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
+    } else if (what == "filter" && words.size() == 3) {
+        bench_filter(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "ceilings") {
         const test::DeviceCeilings c = test::measure_ceilings();
         std::printf("copy within the device %.0f GB/s (read + written), upload %.1f GB/s, separate float operations %.0f G warp instructions/s\n", c.copy_gb_s, c.upload_gb_s, c.instructions_g_s);
@@ -147,7 +190,7 @@ int run(const std::vector<std::string>& words) {
         o.dense = false;
         std::cout << bench_table(run_bench(o, progress));
     } else {
-        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | ceilings | once GRID\n";
+        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | filter FOLDER GRID | ceilings | once GRID\n";
         return 2;
     }
     return 0;

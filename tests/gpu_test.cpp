@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The device's results against the CPU's, bit for bit, stage by stage. Without a device these tests are skipped and say why, or
 // fail where VDBCARVE_REQUIRE_GPU=1.
+#include <openvdb/tools/LevelSetSphere.h>
+
 #include <cstdlib>
 #include <random>
 
@@ -13,6 +15,7 @@
 #include "support/packed_scene.h"
 #include "support/same_grid.h"
 #include "vdbcarve/device.h"
+#include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
 
@@ -241,6 +244,64 @@ TEST_F(Gpu, NoiseMeshesAndLevelSetsEqualTheCpus) {
             // Compared as it lies on the device: noise has no inside and outside for tiles to follow.
             expect_nanovdb_of(*level_set(copy_of(*grid), {}, quiet_), device.surface_nanovdb());
         }
+}
+
+// Every filter on a hull with thin parts, on one that lies across blocks and upper nodes, and on noise; with protection, repair and neither.
+TEST_F(Gpu, FiltersEqualTheCpus) {
+    std::vector<openvdb::FloatGrid::Ptr> surfaces;
+    const Shoot cup = shoot(small_spec("cup", 9)), torus = shoot(small_spec("torus", 10));
+    surfaces.push_back(level_set(carve(cup.inputs, options_for(cup, 90), quiet_).hull, {}, quiet_));
+    CarveOptions far = options_for(torus, 260);
+    far.lattice.origin_world = Vec3d(-4096.5, 4090, 8200) * far.lattice.voxel_size;
+    LevelSetOptions wide;
+    wide.half_width_vox = 5;
+    surfaces.push_back(level_set(carve(torus.inputs, far, quiet_).hull, wide, quiet_));
+    for (const bool smooth : {false, true}) {
+        // Noise has no inside and outside for tiles to follow: a shell of leaves that are all outside gives it one.
+        auto noise = noise_grid(44, smooth, false, 9);
+        surfaces.push_back(level_set(noise, {}, quiet_));
+        surfaces.back()->setName("surface");
+    }
+    DevicePipeline device;
+    for (size_t n = 0; n < surfaces.size(); ++n)
+        for (const char* chain : {"median:1", "median:2", "laplacian:1x3", "mean-curvature:1x2", "gaussian:1", "gaussian:4", "edge-preserving:1", "edge-preserving:2x2", "median:1,laplacian:1x2,edge-preserving:2"})
+            for (const double keep_thin : {0.0, 2.5, 4.0})
+                for (const bool repair : {true, false}) {
+                    SCOPED_TRACE("surface " + std::to_string(n) + ", " + chain + ", keep-thin " + std::to_string(keep_thin) + (repair ? ", repaired" : ""));
+                    FilterOptions o;
+                    o.steps = parse_filters(chain);
+                    o.keep_thin_vox = keep_thin;
+                    o.repair_volume = repair;
+                    const FilterResult cpu = filter(copy_of(*surfaces[n]), o, quiet_);
+                    device.set_surface(*surfaces[n]);
+                    const FilterResult gpu = device.filter(o, quiet_);
+                    EXPECT_EQ(cpu.volume_before, gpu.volume_before);
+                    EXPECT_EQ(cpu.volume_filtered, gpu.volume_filtered);
+                    EXPECT_EQ(cpu.volume, gpu.volume);
+                    EXPECT_EQ(cpu.offset_vox, gpu.offset_vox);
+                    EXPECT_EQ(cpu.repair_steps, gpu.repair_steps);
+                    expect_nanovdb_of(*cpu.surface, device.surface_nanovdb());
+                    if (n < 2) expect_same(*cpu.surface, *device.surface());
+                    if (HasFailure()) return;
+                }
+    // What is filtered away, and what follows a filter.
+    FilterOptions o;
+    o.steps = parse_filters("gaussian:4x8");
+    o.keep_thin_vox = 0;
+    const auto speck = openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(2.3f, openvdb::Vec3f(0.2f), 1.f, 3.f);
+    device.set_surface(*speck);
+    EXPECT_THROW(device.filter(o, quiet_), ContradictionError);
+    device.set_surface(*surfaces[0]);
+    o.steps = parse_filters("median:1");
+    device.filter(o, quiet_);
+    const FilterResult cpu = filter(copy_of(*surfaces[0]), o, quiet_);
+    ASSERT_TRUE(device.extract_mesh(true));
+    expect_same_mesh(marching_cubes(*cpu.surface, true), device.fetch_mesh(true));
+    o.backend = Backend::Cuda;
+    const FilterResult alone = filter(copy_of(*surfaces[0]), o, quiet_);
+    expect_same(*cpu.surface, *alone.surface);
+    EXPECT_EQ(alone.components, cpu.components);
+    EXPECT_EQ(alone.backend_used, "cuda");
 }
 
 // One pipeline for jobs of other sizes and kinds, and for what is not a level set.

@@ -158,6 +158,118 @@ TEST(MarchingCubes, AgreesWithDualContouring) {
     EXPECT_NEAR(cubes.area / dual.area, 1.0, 2e-2);
 }
 
+/// Grids on which meshers go wrong: noise, bits, exact zeros, sheets thinner than a voxel, cubes that touch at edges and corners.
+std::vector<std::pair<std::string, openvdb::FloatGrid::Ptr>> hard_grids() {
+    openvdb::initialize();
+    std::vector<std::pair<std::string, openvdb::FloatGrid::Ptr>> out;
+    for (const bool smooth : {false, true})
+        for (const bool tiny : {false, true}) out.emplace_back(std::string(smooth ? "smooth noise" : "white noise") + (tiny ? " around zero" : ""), noise_grid(36, smooth, tiny, 7));
+    std::mt19937 random(3);
+    const auto fill = [&](const char* name, int side, const auto& value) {
+        const openvdb::FloatGrid::Ptr grid = openvdb::FloatGrid::create(1.f);
+        grid->setGridClass(openvdb::GRID_LEVEL_SET);
+        auto access = grid->getAccessor();
+        for (int i = 0; i < side; ++i)
+            for (int j = 0; j < side; ++j)
+                for (int k = 0; k < side; ++k) access.setValue({i - 5, j + 3, k - 11}, value(i, j, k));
+        out.emplace_back(name, grid);
+    };
+    fill("bits", 36, [&](int, int, int) { return random() % 2 ? -1.f : 1.f; });
+    fill("bits and zeros", 36, [&](int, int, int) { return static_cast<float>(random() % 3) - 1.f; });
+    fill("ninths", 36, [&](int, int, int) { return (static_cast<float>(random() % 9) - 4.f) / 4; });
+    fill("zeros beside the inside", 24, [&](int i, int j, int k) { return (i / 3 + j / 3 + k / 3) % 2 ? -1.f : 0.f; });
+    fill("a thin sheet", 40, [&](int i, int j, int k) { return std::max({std::fabs(static_cast<float>(i) - 20) - 15, std::fabs(static_cast<float>(j) - 20) - 15, std::fabs(static_cast<float>(k) - 20.3f) - 0.4f}); });
+    fill("a sheet on samples", 40, [&](int i, int j, int k) { return std::max({std::fabs(static_cast<float>(i) - 20) - 15, std::fabs(static_cast<float>(j) - 20) - 15, std::fabs(static_cast<float>(k) - 20) - 1}); });
+    fill("cubes that touch", 33, [&](int i, int j, int k) { return (i / 4 % 2 + j / 4 % 2 + k / 4 % 2) % 2 == 0 && i > 1 && j > 1 && k > 1 && i < 31 && j < 31 && k < 31 ? -1.f : 1.f; });
+    return out;
+}
+
+TEST(Meshers, ClosedAndManifoldOnEverySetting) {
+    Progress quiet;
+    for (const auto& [name, grid] : hard_grids()) {
+        SCOPED_TRACE(name);
+        for (const double adaptivity : {0.0, 0.1, 0.5, 1.0})
+            for (const bool quads : {false, true}) {
+                MeshOptions o;
+                o.adaptivity = adaptivity;
+                o.quads = quads;
+                SCOPED_TRACE("adaptivity " + std::to_string(adaptivity));
+                const Mesh mesh = extract_mesh(*grid, o, quiet);
+                expect_closed_manifold(mesh);
+                EXPECT_GT(measure(mesh).volume, 0);
+            }
+        expect_closed_manifold(extract_mesh(*grid, marching(), quiet));
+    }
+}
+
+// In slabs: the same vertices, the same faces.
+TEST(Meshers, SlabsMakeTheSameMesh) {
+    Progress quiet;
+    const auto faces_of = [](const Mesh& mesh) {
+        std::vector<std::array<std::array<float, 3>, 3>> out;
+        for (const auto& t : mesh.triangles) {
+            std::array<std::array<float, 3>, 3> f{mesh.vertices[t[0]], mesh.vertices[t[1]], mesh.vertices[t[2]]};
+            std::rotate(f.begin(), std::min_element(f.begin(), f.end()), f.end());
+            out.push_back(f);
+        }
+        std::sort(out.begin(), out.end());
+        return out;
+    };
+    auto grids = hard_grids();
+    const Shoot s = shoot(small_spec("torus", 12));
+    grids.emplace_back("a hull", level_set(carve(s.inputs, options_for(s, 128), quiet).hull, {}, quiet));
+    for (const auto& [name, grid] : grids) {
+        const Mesh whole = extract_mesh(*grid, {}, quiet);
+        for (const int pieces : {2, 3, 7}) {
+            SCOPED_TRACE(name + " in " + std::to_string(pieces));
+            MeshOptions o;
+            o.pieces = pieces;
+            const Mesh parts = extract_mesh(*grid, o, quiet);
+            EXPECT_EQ(parts.vertices.size(), whole.vertices.size());
+            EXPECT_TRUE(faces_of(parts) == faces_of(whole));
+            expect_closed_manifold(parts);
+        }
+    }
+}
+
+TEST(Meshers, SmallPiecesAreLeftOut) {
+    openvdb::initialize();
+    Progress quiet;
+    const openvdb::FloatGrid::Ptr grid = openvdb::FloatGrid::create(3.f);
+    grid->setGridClass(openvdb::GRID_LEVEL_SET);
+    auto access = grid->getAccessor();
+    const std::pair<Vec3d, double> balls[] = {{{0, 0, 0}, 20}, {{40, 0, 0}, 8}, {{0, 40, 3}, 1.6}, {{0, -38, 0}, 1.6}};
+    for (int i = -30; i < 60; ++i)
+        for (int j = -50; j < 50; ++j)
+            for (int k = -30; k < 30; ++k) {
+                double d = 99;
+                for (const auto& [c, r] : balls) d = std::min(d, (Vec3d(i, j, k) - c).norm() - r);
+                d = std::max(d, 5.2 - (Vec3d(i, j, k) - Vec3d(3, 2, 1)).norm());  // a hollow
+                if (std::fabs(d) < 3) access.setValue({i, j, k}, static_cast<float>(d));
+            }
+    openvdb::tools::signedFloodFill(grid->tree());
+    MeshOptions o;
+    o.quads = true;
+    Mesh mesh = extract_mesh(*grid, o, quiet);
+    const MeshMeasures all = measure(mesh);
+    EXPECT_EQ(all.components, 5u);
+    const Mesh before = mesh;
+    const DroppedPieces none = drop_small_pieces(mesh, 0);
+    EXPECT_EQ(none.pieces, 0u);
+    EXPECT_EQ(mesh.vertices, before.vertices);
+    const DroppedPieces two = drop_small_pieces(mesh, 1e-3);
+    EXPECT_EQ(two.pieces, 2u);
+    EXPECT_EQ(two.kept, 3u);
+    EXPECT_NEAR(two.volume_share, 2 * std::pow(1.6, 3) / (8000 + 512 + 2 * std::pow(1.6, 3) + std::pow(5.2, 3)), 5e-4);  // the small balls lose a third to the mesher
+    const MeshMeasures left = measure(mesh);
+    EXPECT_TRUE(left.manifold);
+    EXPECT_EQ(left.components, 3u);
+    EXPECT_EQ(2 * mesh.quads, mesh.triangles.size());
+    EXPECT_NEAR(left.volume, all.volume - 2 * 4.18879 * std::pow(1.6, 3), 15);
+    drop_small_pieces(mesh, 1);  // of all but the largest nothing stays
+    EXPECT_EQ(measure(mesh).components, 1u);
+}
+
 TEST(MarchingCubes, OptionsThatDoNotFitAreNamed) {
     openvdb::initialize();
     const auto sphere = openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(5.f, openvdb::Vec3f(0), 1.f, 3.f);
@@ -168,6 +280,13 @@ TEST(MarchingCubes, OptionsThatDoNotFitAreNamed) {
     o = {};
     o.normals = true;
     EXPECT_NE(error_of(ExitCode::Usage, [&] { extract_mesh(*sphere, o, quiet); }).find("normals"), std::string::npos);
+    o = marching();
+    o.quads = true;
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { extract_mesh(*sphere, o, quiet); }).find("quads"), std::string::npos);
+    o = {};
+    o.adaptivity = 0.1;
+    o.pieces = 2;
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { extract_mesh(*sphere, o, quiet); }).find("slabs"), std::string::npos);
 }
 
 }  // namespace

@@ -34,6 +34,11 @@ Command add_bench(CLI::App& program);
 Command add_check(CLI::App& program);
 Command add_evaluate(CLI::App& program);
 Command add_export(CLI::App& program);
+/// `name` is a stage of reconstruct that is to be done anew, with other options.
+Command add_again(CLI::App& program, const char* name, const char* what, const char* example);
+
+/// The whole program on a command line, without its own name. Returns the exit code.
+int run_program(const std::vector<std::string>& words);
 
 /// Where a scene's photographs, cameras and masks are: --images, --cameras, --masks, --mask …
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask);

@@ -8,18 +8,29 @@ packages=(g++ cmake ninja-build ccache git ca-certificates
   libopenvdb-dev libnanovdb-dev libtbb-dev libopencv-dev libopencv-contrib-dev libeigen3-dev libopenmesh-dev
   libcli11-dev libspdlog-dev nlohmann-json3-dev libtinygltf-dev libgtest-dev libbenchmark-dev libnanoflann-dev
   libimath-dev libboost-iostreams-dev libblosc-dev zlib1g-dev libvalijson-dev)
+dev=no
 if [ "${1:-}" = "--dev" ]; then
-  packages+=(clang-format-14 clang-tidy-14 libopenvdb-tools python3-openvdb python3-numpy f3d xvfb hyperfine)
+  dev=yes
+  command -v npm >/dev/null || packages+=(nodejs npm)
+  packages+=(clang-format-14 clang-tidy-14 libopenvdb-tools python3-openvdb python3-numpy python3-open3d blender f3d xvfb hyperfine)
 elif [ $# -gt 0 ]; then
   echo "usage: tools/install_deps.sh [--dev]" >&2
   exit 2
 fi
+
+# npm's package of Khronos' glTF validator goes into the build tree: it needs no place of its own on the machine.
+install_validator() {
+  [ "$dev" = yes ] || return 0
+  cd "$(dirname "$0")/.."
+  [ -d build/node/node_modules/gltf-validator ] || npm install --silent --no-fund --no-audit --prefix build/node gltf-validator@2.0.0-dev.3.10
+}
 
 missing=()
 for package in "${packages[@]}"; do
   dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
 done
 if [ ${#missing[@]} -eq 0 ]; then
+  install_validator
   echo "install_deps: everything is there"
   exit 0
 fi
@@ -33,4 +44,5 @@ fi
 echo "install_deps: installing ${missing[*]}"
 "${as_root[@]}" apt-get update -qq
 "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+install_validator
 echo "install_deps: done"

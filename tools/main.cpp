@@ -76,12 +76,7 @@ std::vector<double> numbers(const std::string& option, const std::string& text, 
     return out;
 }
 
-}  // namespace vdbcarve::cli
-
-int main(int argc, char** argv) {
-    using namespace vdbcarve;
-    spdlog::set_default_logger(spdlog::stderr_color_mt("vdbcarve"));
-    spdlog::set_pattern("%^%l%$ %v");
+int run_program(const std::vector<std::string>& words) {
 
     CLI::App program{"vdbcarve: photos around an object become a sparse volume (.vdb) and a closed mesh"};
     program.set_version_flag("--version", std::string("vdbcarve ") + kVersion);
@@ -95,7 +90,10 @@ int main(int argc, char** argv) {
         "  vdbcarve check shoot                              what is wrong with cameras and masks, in words\n"
         "  vdbcarve evaluate out --truth shoot/truth.ply     how far the result is from the truth\n"
         "  vdbcarve info out                                 what a file or a result holds\n"
-        "  vdbcarve export out -o volume.nvdb model.obj      other formats\n"
+        "  vdbcarve filter out --filter gaussian:1           one stage anew, and what follows from it\n"
+        "  vdbcarve smooth out --faces 50000                 a lighter mesh\n"
+        "  vdbcarve reconstruct shoot --units mm --dcc blender -o out   volume and meshes in Blender's axes and metres\n"
+        "  vdbcarve export out -o volume.nvdb model.stl      other formats\n"
         "  vdbcarve bench                                    how fast this machine carves"
         "\n"
         "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");
@@ -107,16 +105,20 @@ int main(int argc, char** argv) {
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
     std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_bench(program)};
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_bench(program),
+                                       cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
+                                       cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
+                                       cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
+                                       cli::add_again(program, "smooth", "smooth or decimate a result's mesh anew: OUT and options of reconstruct", "--smooth 10 --faces 50000")};
     try {
-        program.parse(argc, argv);
+        program.parse(std::vector<std::string>(words.rbegin(), words.rend()));  // as CLI11 wants them
     } catch (const Error& e) {  // a value that an option's own reader refused
         spdlog::error("{}", e.what());
         return static_cast<int>(e.code());
     } catch (const CLI::ParseError& e) {
         // CLI11 would only say that a command is missing where an unknown one was given.
-        if (e.get_name() == "RequiredError" && argc > 1 && argv[1][0] != '-' && program.get_subcommands().empty()) {
-            std::cerr << "vdbcarve: '" << argv[1] << "' is no command. Run with --help for the list.\n";
+        if (e.get_name() == "RequiredError" && !words.empty() && words[0][0] != '-' && program.get_subcommands().empty()) {
+            std::cerr << "vdbcarve: '" << words[0] << "' is no command. Run with --help for the list.\n";
             return static_cast<int>(ExitCode::Usage);
         }
         const int code = program.exit(e, std::cout, std::cerr);
@@ -158,4 +160,12 @@ int main(int argc, char** argv) {
         return fail(ExitCode::Input, std::string("unexpected: ") + e.what());
     }
     return 0;
+}
+
+}  // namespace vdbcarve::cli
+
+int main(int argc, char** argv) {
+    spdlog::set_default_logger(spdlog::stderr_color_mt("vdbcarve"));
+    spdlog::set_pattern("%^%l%$ %v");
+    return vdbcarve::cli::run_program({argv + 1, argv + argc});
 }
