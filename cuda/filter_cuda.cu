@@ -8,9 +8,6 @@ namespace {
 
 using namespace kernel;
 
-// What stands in for a leaf that is not there.
-constexpr int32_t kOutsideTile = -1, kInsideTile = -2;
-
 __device__ int block_of(const TopologyView& t, int x, int y, int z) {
     const int bx = (x >> 7) - t.lo[0], by = (y >> 7) - t.lo[1], bz = (z >> 7) - t.lo[2];
     if (bx < 0 || by < 0 || bz < 0 || bx >= t.size[0] || by >= t.size[1] || bz >= t.size[2]) return -1;
@@ -60,13 +57,13 @@ __global__ void list_keys(TopologyView t, uint32_t* keys) {
 }
 
 /// A block of threads a leaf: its values in voxels, or the tile's.
-__global__ void __launch_bounds__(kLeafVoxels) load_leaves(const Grid::Leaf* leaves, TopologyView from, TopologyView to, const uint32_t* keys, float voxel, float band_vox, float* out) {
+__global__ void __launch_bounds__(kLeafVoxels) load_leaves(const Grid::Leaf* leaves, TopologyView from, TopologyView to, const uint32_t* keys, float voxel, float band, float band_vox, float* out) {
     const uint32_t n = blockIdx.x, key = keys[n];
     const int3 o = to.leaf_origin(key);
     const int block = block_of(from, o.x, o.y, o.z);
     const int64_t old = block < 0 ? -1 : from.leaf_number(block, offset_of(o.x, o.y, o.z));
     const bool inside = to.inside[key / 64] >> (key & 63) & 1;
-    out[static_cast<size_t>(n) * kLeafVoxels + threadIdx.x] = old >= 0 ? leaves[old].data()->mValues[threadIdx.x] / voxel : inside ? -band_vox : band_vox;
+    out[static_cast<size_t>(n) * kLeafVoxels + threadIdx.x] = old >= 0 ? in_voxels(leaves[old].data()->mValues[threadIdx.x], voxel, band, band_vox) : inside ? -band_vox : band_vox;
 }
 
 /// Leaves hold their own signs.
@@ -91,12 +88,9 @@ __global__ void list_surroundings(TopologyView t, const uint32_t* keys, uint32_t
     out[n] = found;
 }
 
-/// A block of threads a leaf. kMedian: the median's width, 0 for the other filters.
-template <int kMedian>
-__global__ void __launch_bounds__(kLeafVoxels) filter(FilterPass pass, const float* from, const int32_t* around, float band_vox, float* to) {
-    extern __shared__ float halo[];
+/// Brings a leaf and what lies around it into shared memory: `halo` is (8 + 2 rx) (8 + 2 ry) (8 + 2 rz) values. Ends with a barrier.
+__device__ void load_halo(const float* from, const int32_t* around, int rx, int ry, int rz, float band_vox, float* halo) {
     __shared__ int32_t leaves[27];
-    const int rx = pass_reach(pass, 0), ry = pass_reach(pass, 1), rz = pass_reach(pass, 2);
     const int sy = 8 + 2 * rz, sx = (8 + 2 * ry) * sy, size = (8 + 2 * rx) * sx, t = threadIdx.x;
     if (t < 27) leaves[t] = around[static_cast<size_t>(blockIdx.x) * 27 + t];
     __syncthreads();
@@ -106,6 +100,14 @@ __global__ void __launch_bounds__(kLeafVoxels) filter(FilterPass pass, const flo
         halo[n] = leaf >= 0 ? from[static_cast<size_t>(leaf) * kLeafVoxels + ((x & 7) << 6 | (y & 7) << 3 | (z & 7))] : leaf == kInsideTile ? -band_vox : band_vox;
     }
     __syncthreads();
+}
+
+/// A block of threads a leaf. kMedian: the median's width, 0 for the other filters.
+template <int kMedian>
+__global__ void __launch_bounds__(kLeafVoxels) filter(FilterPass pass, const float* from, const int32_t* around, float band_vox, float* to) {
+    extern __shared__ float halo[];
+    const int rx = pass_reach(pass, 0), ry = pass_reach(pass, 1), rz = pass_reach(pass, 2), sy = 8 + 2 * rz, sx = (8 + 2 * ry) * sy, t = threadIdx.x;
+    load_halo(from, around, rx, ry, rz, band_vox, halo);
     const int here = ((t >> 6) + rx) * sx + ((t >> 3 & 7) + ry) * sy + (t & 7) + rz;
     const auto at = [&](int i, int j, int k) { return halo[here + i * sx + j * sy + k]; };
     const int step = pass.axis == 0 ? sx : pass.axis == 1 ? sy : 1;
@@ -127,17 +129,9 @@ __global__ void __launch_bounds__(kLeafVoxels) filter(FilterPass pass, const flo
 /// The same for the edge-preserving filter, which needs the normals around.
 __global__ void __launch_bounds__(kLeafVoxels) filter_edges(FilterPass pass, const float* from, const int32_t* around, float band_vox, float* to) {
     extern __shared__ float halo[];
-    __shared__ int32_t leaves[27];
-    const int r = pass.width + 1, s = 8 + 2 * r, size = s * s * s, t = threadIdx.x;
-    float* normals = halo + size;
-    if (t < 27) leaves[t] = around[static_cast<size_t>(blockIdx.x) * 27 + t];
-    __syncthreads();
-    for (int n = t; n < size; n += kLeafVoxels) {
-        const int x = n / (s * s) - r, y = n / s % s - r, z = n % s - r;
-        const int32_t leaf = leaves[((x >> 3) + 1) * 9 + ((y >> 3) + 1) * 3 + (z >> 3) + 1];
-        halo[n] = leaf >= 0 ? from[static_cast<size_t>(leaf) * kLeafVoxels + ((x & 7) << 6 | (y & 7) << 3 | (z & 7))] : leaf == kInsideTile ? -band_vox : band_vox;
-    }
-    __syncthreads();
+    const int r = pass.width + 1, s = 8 + 2 * r, t = threadIdx.x;
+    float* normals = halo + s * s * s;
+    load_halo(from, around, r, r, r, band_vox, halo);
     const int w = pass.width, m = 8 + 2 * w, count = m * m * m;
     for (int n = t; n < count; n += kLeafVoxels) {
         const int center = ((n / (m * m) + 1) * s + n / m % m + 1) * s + n % m + 1;
@@ -165,6 +159,17 @@ __global__ void __launch_bounds__(kLeafVoxels) find_shares(const float* deepest,
 __global__ void __launch_bounds__(kLeafVoxels) keep_thin(const float* before, const float* share, float* values) {
     const size_t n = static_cast<size_t>(blockIdx.x) * kLeafVoxels + threadIdx.x;
     if (share[n] < 1.f) values[n] = before[n] + share[n] * (values[n] - before[n]);
+}
+
+/// A thread a voxel, a block a leaf.
+__global__ void __launch_bounds__(kLeafVoxels) keep_sides(const int32_t* around, float* values) {
+    const size_t n = static_cast<size_t>(blockIdx.x) * kLeafVoxels + threadIdx.x;
+    float v = values[n];
+    for (int face = 0; face < 6; ++face) {
+        const int shift = face / 2 == 0 ? 6 : face / 2 == 1 ? 3 : 0;
+        if ((static_cast<int>(threadIdx.x) >> shift & 7) == (face % 2 ? 7 : 0)) v = beside_tile(v, around[static_cast<size_t>(blockIdx.x) * 27 + beyond_face(face)]);
+    }
+    values[n] = v;
 }
 
 void launch(const FilterPass& pass, const float* from, float* to, const int32_t* around, uint32_t leaves, float band_vox, const cudaStream_t s) {
@@ -212,7 +217,7 @@ void FilterStage::run(const Grid& surface, const Topology& topology, const std::
         const size_t words = static_cast<size_t>(counted.blocks) * kBlockWords;
         list_keys<<<blocks_for(words, 256), 256, 0, s>>>(counted, keys_.ensure(n));
         VDBCARVE_LAUNCHED();
-        load_leaves<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), old_view, counted, keys_.data(), static_cast<float>(surface.spec().voxel_size), half_width_vox, first_.ensure(static_cast<size_t>(n) * kLeafVoxels));
+        load_leaves<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), old_view, counted, keys_.data(), static_cast<float>(surface.spec().voxel_size), surface.spec().background, half_width_vox, first_.ensure(static_cast<size_t>(n) * kLeafVoxels));
         VDBCARVE_LAUNCHED();
         clear_inside<<<blocks_for(words, 256), 256, 0, s>>>(counted);
         VDBCARVE_LAUNCHED();
@@ -239,6 +244,8 @@ void FilterStage::run(const Grid& surface, const Topology& topology, const std::
             keep_thin<<<n, kLeafVoxels, 0, s>>>(before_.data(), share_.data(), from);
             VDBCARVE_LAUNCHED();
         }
+        keep_sides<<<n, kLeafVoxels, 0, s>>>(around_.data(), from);
+        VDBCARVE_LAUNCHED();
         active_.ensure(static_cast<size_t>(n) * 8);
         stream.zero(active_.data(), static_cast<size_t>(n) * 8);
         grid_.build(topology_, surface.spec(), {from, active_.data(), keys_.data(), n}, stream);

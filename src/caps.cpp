@@ -10,6 +10,8 @@
 #include <cmath>
 #include <limits>
 
+#include "filter_plan.h"
+#include "inside_tiles.h"
 #include "redistance.h"
 #include "vdbcarve/error.h"
 
@@ -165,7 +167,7 @@ Extrapolation mark_extrapolated(Mesh& mesh, const std::vector<Camera>& cameras, 
 
 openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& up, double height, Progress& progress) {
     const double voxel = surface->voxelSize()[0];
-    const int half_width = static_cast<int>(std::lround(surface->background() / voxel));
+    const int half_width = half_width_of(*surface);
     const float band = surface->background();
     /// Signed distance of a voxel to the half-space below the plane, positive there.
     const auto below = [&](const openvdb::Vec3d& index) {
@@ -179,10 +181,7 @@ openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& u
         int side;
     };
     std::vector<Tile> tiles;
-    openvdb::FloatTree::ValueAllCIter tile = tree.cbeginValueAll();
-    tile.setMaxDepth(openvdb::FloatTree::ValueAllCIter::LEAF_DEPTH - 1);
-    for (; tile; ++tile)
-        if (*tile < 0.f) tiles.push_back({tile.getBoundingBox().min(), tile.getBoundingBox().dim().x()});
+    for_inside_tiles(tree, [&](const Coord& origin, int side) { tiles.push_back({origin, side}); });
     const double corner = 0.5 * std::sqrt(3.0) * 8 * voxel;
     for (const Tile& t : tiles)
         for (int i = 0; i < t.side; i += 8)

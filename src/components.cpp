@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <numeric>
 
+#include "inside_tiles.h"
 #include "leaf_neighbours.h"
 #include "vdbcarve/filter.h"
 
@@ -62,14 +63,10 @@ std::vector<double> component_volumes(const openvdb::FloatGrid& surface) {
     };
     std::vector<Tile> tiles;
     std::unordered_map<Coord, uint32_t> tile_number;
-    openvdb::FloatTree::ValueAllCIter tile = tree.cbeginValueAll();
-    tile.setMaxDepth(openvdb::FloatTree::ValueAllCIter::LEAF_DEPTH - 1);
-    for (; tile; ++tile) {
-        if (!(*tile < 0.f)) continue;
-        const openvdb::CoordBBox box = tile.getBoundingBox();
-        tile_number[box.min()] = first[count] + static_cast<uint32_t>(tiles.size());
-        tiles.push_back({box.min(), box.dim().x()});
-    }
+    for_inside_tiles(tree, [&](const Coord& origin, int side) {
+        tile_number[origin] = first[count] + static_cast<uint32_t>(tiles.size());
+        tiles.push_back({origin, side});
+    });
     std::vector<uint32_t> parent(first[count] + tiles.size());
     std::vector<int64_t> voxels(parent.size(), 0);
     std::iota(parent.begin(), parent.end(), 0u);

@@ -501,6 +501,11 @@ FilterResult DevicePipeline::filter(const FilterOptions& options, Progress& prog
     out.backend_used = "cuda";
     VolumeRepair repair;
     repair.move = options.repair_volume;
+    if (options.steps.empty()) {
+        repair.target = repair.before_move = repair.volume = p.level_set.volume_of(volume.grid, *volume.topology, p.stream, p.times);
+        describe_volumes(out, repair, voxel);
+        return out;
+    }
     repair.target = p.level_set.volume_of(volume.grid, *volume.topology, p.stream, p.times);
     progress.begin("filter", 2);
     const auto thin = options.keep_thin_vox > 0 ? thin_passes(options.keep_thin_vox) : std::vector<kernel::FilterPass>();

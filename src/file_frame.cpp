@@ -6,6 +6,7 @@
 #include <cmath>
 #include <map>
 
+#include "inside_tiles.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
 
@@ -83,8 +84,7 @@ openvdb::GridBase::Ptr turn(const Grid& grid, const FileFrame& frame) {
         const double o = first[static_cast<int>(map.from[a])];
         origin[static_cast<int>(a)] = frame.scale * (map.mirrored[a] ? -o : o);
     }
-    // OpenVDB calls a transform whose determinant is below 3e-15 singular.
-    if (const double side = voxel.x() * frame.scale; side * side * side < 4e-15)
+    if (const double side = voxel.x() * frame.scale; side < kLeastVoxel)
         throw OutputError("grid '" + grid.getName() + "': voxels of " + std::to_string(1e6 * side) + "e-6 " + frame.units + " are too small for OpenVDB. Remedy: another --dcc, or none");
     auto placed = openvdb::math::Transform::createLinearTransform(voxel.x() * frame.scale);
     placed->postTranslate(origin + openvdb::Vec3d(0.5 * voxel.x() * frame.scale));
@@ -106,8 +106,7 @@ openvdb::GridBase::Ptr turn(const Grid& grid, const FileFrame& frame) {
         if (*tile == grid.background() && !tile.isValueOn()) continue;
         const openvdb::CoordBBox box = tile.getBoundingBox();
         const openvdb::Coord c = map(box.min(), box.dim().x());
-        const openvdb::Index level = box.dim().x() == 8 ? 1 : box.dim().x() == 128 ? 2 : 3;
-        out->tree().addTile(level, c, convert(*tile), tile.isValueOn());
+        out->tree().addTile(tile_level(box.dim().x()), c, convert(*tile), tile.isValueOn());
     }
     return out;
 }
@@ -159,8 +158,28 @@ FileFrame file_frame(const std::string& extension, const FrameRequest& request) 
     return out;
 }
 
+FileFrame inverse(const FileFrame& frame) {
+    FileFrame out;
+    for (size_t i = 0; i < 3; ++i)
+        for (size_t j = 0; j < 3; ++j) out.axes[i][j] = frame.axes[j][i];
+    out.scale = 1 / frame.scale;
+    return out;
+}
+
+bool FileFrame::moves() const { return axes != kSame || scale != 1; }
+
+std::string unknown_frame(const std::string& extension, const FrameRequest& request) {
+    std::string out;
+    const bool glb = extension == ".glb", dcc = request.dcc != Dcc::None;
+    if (!metres_per(request.units) && (glb || dcc))
+        out = (request.units.empty() ? std::string("the unit of length is unknown") : "the unit '" + request.units + "' has no length") + ": numbers stay as they are" +
+              (glb ? ", and readers of .glb take 1 unit for 1 m" : "") + ". Remedy: --units";
+    if (request.up.empty() && (glb || extension == ".obj" || dcc)) out += std::string(out.empty() ? "" : "; ") + "the up axis is unknown: nothing is turned, and readers of .obj and .glb take y for up. Remedy: --up";
+    return out;
+}
+
 Mesh in_frame(Mesh mesh, const FileFrame& frame) {
-    if (frame.axes == kSame && frame.scale == 1) return mesh;
+    if (!frame.moves()) return mesh;
     const auto turned = [&](const std::array<float, 3>& p, double scale) {
         std::array<float, 3> q{};
         for (size_t i = 0; i < 3; ++i)
@@ -174,7 +193,7 @@ Mesh in_frame(Mesh mesh, const FileFrame& frame) {
 }
 
 openvdb::GridBase::ConstPtr in_frame(const openvdb::GridBase::ConstPtr& grid, const FileFrame& frame) {
-    if (frame.axes == kSame && frame.scale == 1) return grid;
+    if (!frame.moves()) return grid;
     if (const auto g = openvdb::gridConstPtrCast<openvdb::FloatGrid>(grid)) return turn(*g, frame);
     if (const auto g = openvdb::gridConstPtrCast<openvdb::Vec3SGrid>(grid)) return turn(*g, frame);
     if (const auto g = openvdb::gridConstPtrCast<openvdb::Int32Grid>(grid)) return turn(*g, frame);

@@ -51,7 +51,7 @@ void fill_filter_halo(const std::array<int32_t, 27>& around, const ValuesOf& val
         const int dx = a / 9 - 1, dy = a / 3 % 3 - 1, dz = a % 3 - 1;
         const int32_t number = around[static_cast<size_t>(a)];
         const float* from = number >= 0 ? values_of(static_cast<size_t>(number)) : nullptr;
-        const float tile = number == kInsideTile ? -band_vox : band_vox;
+        const float tile = number == kernel::kInsideTile ? -band_vox : band_vox;
         const int k0 = first(dz, 2), count = last(dz, 2) - k0;
         if (count == 0) continue;
         for (int i = first(dx, 0); i < last(dx, 0); ++i)
@@ -74,13 +74,13 @@ class CpuFilter {
     }
 
   public:
-    CpuFilter(openvdb::FloatTree& tree, float voxel, float band_vox, Progress& progress) : band_vox_(band_vox), progress_(progress) {
+    CpuFilter(openvdb::FloatTree& tree, float voxel, float band, float band_vox, Progress& progress) : band_vox_(band_vox), progress_(progress) {
         tree.getNodes(leaves_);
         around_ = surroundings_of(tree, leaves_);
         beside_.resize(leaves_.size() * kLeafVoxels);
         for_leaves([&](size_t n, float*) {
             float* v = leaves_[n]->buffer().data();
-            for (int at = 0; at < kLeafVoxels; ++at) v[at] /= voxel;
+            for (int at = 0; at < kLeafVoxels; ++at) v[at] = kernel::in_voxels(v[at], voxel, band, band_vox);
         });
     }
 
@@ -117,10 +117,18 @@ class CpuFilter {
         for_leaves([&](size_t n, float*) {
             float* v = leaves_[n]->buffer().data();
             if (passes.size() % 2) std::memcpy(v, beside(n), kLeafVoxels * sizeof(float));
-            if (thin_.empty() || !thin_[n]) return;
-            const Thin& thin = *thin_[n];
-            for (int at = 0; at < kLeafVoxels; ++at)
-                if (thin.share[at] < 1.f) v[at] = thin.before[at] + thin.share[at] * (v[at] - thin.before[at]);
+            if (!thin_.empty() && thin_[n]) {
+                const Thin& thin = *thin_[n];
+                for (int at = 0; at < kLeafVoxels; ++at)
+                    if (thin.share[at] < 1.f) v[at] = thin.before[at] + thin.share[at] * (v[at] - thin.before[at]);
+            }
+            for (int face = 0; face < 6; ++face) {
+                const int32_t beyond = around_[n][static_cast<size_t>(kernel::beyond_face(face))];
+                if (beyond >= 0) continue;
+                const int shift = face / 2 == 0 ? 6 : face / 2 == 1 ? 3 : 0;
+                for (int at = 0; at < kLeafVoxels; ++at)
+                    if ((at >> shift & 7) == (face % 2 ? 7 : 0)) v[at] = kernel::beside_tile(v[at], beyond);
+            }
         });
     }
 
@@ -171,6 +179,7 @@ FilterResult filter(openvdb::FloatGrid::Ptr surface, const FilterOptions& option
         out = device.filter(options, progress);
         out.components_before = count_pieces(*surface);
         out.surface = device.surface();
+        out.surface->openvdb::MetaMap::operator=(*surface);
         out.components = count_pieces(*out.surface);
         return out;
     }
@@ -191,7 +200,7 @@ FilterResult filter(openvdb::FloatGrid::Ptr surface, const FilterOptions& option
     grow_by_leaves(surface->tree());
     measure("prepare");
     {
-        CpuFilter work(surface->tree(), voxel, static_cast<float>(half_width), progress);
+        CpuFilter work(surface->tree(), voxel, surface->background(), static_cast<float>(half_width), progress);
         work.find_thin(options.keep_thin_vox);
         measure("thin");
         work.run(passes);

@@ -85,8 +85,10 @@ std::string filters_text(const std::vector<FilterStep>& steps) {
 }
 
 std::vector<FilterStep> default_filters(double mask_softness) {
-    if (mask_softness >= 0.5) return {{FilterKind::Median, 1, 1}};
-    return {{FilterKind::EdgePreserving, 2, 2}};
+    // Soft masks leave little to smooth, and every filter rounds edges: as little as helps the normals. src/filter.md has the numbers.
+    if (mask_softness >= 0.5) return {{FilterKind::EdgePreserving, 1, 1}};
+    if (mask_softness >= 0) return {{FilterKind::EdgePreserving, 2, 1}};
+    return {{FilterKind::EdgePreserving, 2, 4}};
 }
 
 int half_width_of(const openvdb::FloatGrid& surface) {
@@ -98,9 +100,11 @@ int half_width_of(const openvdb::FloatGrid& surface) {
     return static_cast<int>(width);
 }
 
+double most_keep_thin_vox(int half_width_vox) { return 2 * (std::min(half_width_vox, kernel::kMostFilterWidth) - 0.75); }
+
 void check_filter(const FilterOptions& options, int half_width_vox) {
     for (const FilterStep& s : options.steps) check_step(s, filters_text({s}));
-    const double most = std::min(2 * (half_width_vox - 0.75), 2 * (kernel::kMostFilterWidth - 0.75));
+    const double most = most_keep_thin_vox(half_width_vox);
     if (!(options.keep_thin_vox >= 0 && options.keep_thin_vox <= most))
         throw UsageError("--keep-thin is " + std::to_string(options.keep_thin_vox) + " voxels, must be 0.." + std::to_string(most).substr(0, 3) + " with a half-width of " + std::to_string(half_width_vox));
 }

@@ -51,7 +51,8 @@ struct Reader {
     size_t stride;
     int component_bytes;
 
-    Reader(const tinygltf::Model& m, int number, const fs::path& file) : model(m), accessor(m.accessors.at(static_cast<size_t>(number))) {
+    /// `components`: at least so many values each.
+    Reader(const tinygltf::Model& m, int number, int components, const fs::path& file) : model(m), accessor(m.accessors.at(static_cast<size_t>(number))) {
         const auto bad = [&](const char* why) { return InputError(file.string() + ": " + why); };
         if (accessor.bufferView < 0 || accessor.sparse.isSparse) throw bad("has an accessor without plain data, which is not read");
         const tinygltf::BufferView& view = model.bufferViews.at(static_cast<size_t>(accessor.bufferView));
@@ -59,7 +60,10 @@ struct Reader {
         const int step = accessor.ByteStride(view);
         component_bytes = tinygltf::GetComponentSizeInBytes(static_cast<uint32_t>(accessor.componentType));
         const int bytes = component_bytes * tinygltf::GetNumComponentsInType(static_cast<uint32_t>(accessor.type));
-        if (step <= 0 || bytes <= 0) throw bad("has an accessor of unknown type");
+        if (step <= 0 || bytes <= 0 || tinygltf::GetNumComponentsInType(static_cast<uint32_t>(accessor.type)) < components) throw bad("has an accessor of another type than its use asks for");
+        const int kind = accessor.componentType;
+        if (kind != TINYGLTF_COMPONENT_TYPE_FLOAT && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT)
+            throw bad("has an accessor of signed integers, which are not read");
         stride = static_cast<size_t>(step);
         const size_t at = view.byteOffset + accessor.byteOffset;
         if (accessor.count == 0 || at + stride * (accessor.count - 1) + static_cast<size_t>(bytes) > data.size()) throw bad("an accessor reaches beyond its buffer");
@@ -97,7 +101,7 @@ void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& prim
     if (primitive.mode != TINYGLTF_MODE_TRIANGLES && primitive.mode != -1) throw InputError(file.string() + ": has a primitive that is no list of triangles, which is not read");
     const auto found = primitive.attributes.find("POSITION");
     if (found == primitive.attributes.end()) return;
-    const Reader positions(model, found->second, file);
+    const Reader positions(model, found->second, 3, file);
     const auto base = static_cast<uint32_t>(mesh.vertices.size());
     const size_t count = positions.accessor.count;
     for (size_t v = 0; v < count; ++v) {
@@ -108,7 +112,7 @@ void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& prim
         const auto at = primitive.attributes.find(name);
         all = all && at != primitive.attributes.end();
         if (!all) return;
-        const Reader values(model, at->second, file);
+        const Reader values(model, at->second, 3, file);
         if (values.accessor.count != count) throw InputError(file.string() + ": " + name + " has another count than POSITION");
         for (size_t v = 0; v < count; ++v) {
             const Eigen::Vector3f x = convert(Eigen::Vector3d(values.value(v, 0), values.value(v, 1), values.value(v, 2))).template cast<float>();
@@ -120,7 +124,7 @@ void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& prim
     attribute("NORMAL", all_normals, mesh.normals, [&](const Eigen::Vector3d& n) { return Eigen::Vector3d((turn * n).normalized()); });
     std::vector<uint32_t> corners;
     if (primitive.indices >= 0) {
-        const Reader indices(model, primitive.indices, file);
+        const Reader indices(model, primitive.indices, 1, file);
         corners.resize(indices.accessor.count);
         for (size_t n = 0; n < corners.size(); ++n) corners[n] = static_cast<uint32_t>(indices.value(n, 0));
     } else {
@@ -130,7 +134,8 @@ void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& prim
     for (size_t n = 0; n + 2 < corners.size(); n += 3) {
         for (size_t c = 0; c < 3; ++c)
             if (corners[n + c] >= count) throw InputError(file.string() + ": a face names vertex " + std::to_string(corners[n + c]) + " of " + std::to_string(count));
-        mesh.triangles.push_back({base + corners[n], base + corners[n + 1], base + corners[n + 2]});
+        const bool mirrored = place.linear().determinant() < 0;
+        mesh.triangles.push_back({base + corners[n], base + corners[n + (mirrored ? 2 : 1)], base + corners[n + (mirrored ? 1 : 2)]});
     }
 }
 

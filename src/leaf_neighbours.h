@@ -8,6 +8,8 @@
 #include <unordered_map>
 #include <vector>
 
+#include "vdbcarve/kernel/filter.h"
+
 namespace vdbcarve {
 
 template <class Leaf>
@@ -34,10 +36,7 @@ std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leav
     return out;
 }
 
-/// What stands in for a leaf that is not there.
-inline constexpr int32_t kOutsideTile = -1, kInsideTile = -2;
-
-/// The leaf itself and all 26 around it by number, (dx + 1) * 9 + (dy + 1) * 3 + dz + 1; kOutsideTile or kInsideTile where there is none.
+/// The leaf itself and all 26 around it by number, (dx + 1) * 9 + (dy + 1) * 3 + dz + 1; kernel::kOutsideTile or kInsideTile where there is none.
 template <class Tree, class Leaf>
 std::vector<std::array<int32_t, 27>> surroundings_of(const Tree& tree, const std::vector<Leaf*>& leaves) {
     const auto number = numbers_of(leaves);
@@ -46,7 +45,7 @@ std::vector<std::array<int32_t, 27>> surroundings_of(const Tree& tree, const std
         for (int a = 0; a < 27; ++a) {
             const openvdb::Coord c = leaves[n]->origin().offsetBy(8 * (a / 9 - 1), 8 * (a / 3 % 3 - 1), 8 * (a % 3 - 1));
             const auto found = number.find(c);
-            out[n][static_cast<size_t>(a)] = found != number.end() ? found->second : tree.getValue(c) < 0.f ? kInsideTile : kOutsideTile;
+            out[n][static_cast<size_t>(a)] = found != number.end() ? found->second : tree.getValue(c) < 0.f ? kernel::kInsideTile : kernel::kOutsideTile;
         }
     });
     return out;

@@ -13,6 +13,7 @@
 #include <atomic>
 #include <cmath>
 
+#include "inside_tiles.h"
 #include "leaf_neighbours.h"
 #include "redistance.h"
 #include "vdbcarve/device.h"
@@ -66,10 +67,7 @@ openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOp
 
 int64_t inside_tile_voxels(const openvdb::FloatTree& tree) {
     int64_t out = 0;
-    openvdb::FloatTree::ValueAllCIter tile = tree.cbeginValueAll();
-    tile.setMaxDepth(openvdb::FloatTree::ValueAllCIter::LEAF_DEPTH - 1);
-    for (; tile; ++tile)
-        if (*tile < 0.f) out += static_cast<int64_t>(tile.getVoxelCount());
+    for_inside_tiles(tree, [&](const openvdb::Coord&, int side) { out += static_cast<int64_t>(side) * side * side; });
     return out;
 }
 

@@ -9,8 +9,10 @@
 #include <atomic>
 #include <climits>
 #include <map>
+#include <set>
 #include <stdexcept>
 
+#include "inside_tiles.h"
 #include "marching_cubes.h"
 #include "same_transform.h"
 #include "vdbcarve/device.h"
@@ -40,15 +42,9 @@ openvdb::FloatGrid::Ptr slab_of(const openvdb::FloatGrid& grid, int axis, int fi
         const int at = leaf->origin()[axis];
         if (at + 8 > first - 8 && at < last + 8) out->tree().addLeaf(new Leaf(*leaf));
     }
-    using Tiles = openvdb::FloatTree::ValueAllCIter;
-    Tiles tile = grid.tree().cbeginValueAll();
-    tile.setMaxDepth(Tiles::LEAF_DEPTH - 1);
-    for (; tile; ++tile) {
-        if (!(*tile < 0.f)) continue;
-        const openvdb::CoordBBox box = tile.getBoundingBox();
-        const int side = box.dim().x();
-        if (box.max()[axis] >= first - 16 && box.min()[axis] < last + 16) out->tree().addTile(side == 8 ? 1 : side == 128 ? 2 : 3, box.min(), *tile, tile.isValueOn());
-    }
+    for_inside_tiles(grid.tree(), [&](const openvdb::Coord& origin, int side) {
+        if (origin[axis] + side > first - 16 && origin[axis] < last + 16) out->tree().addTile(tile_level(side), origin, -grid.background(), false);
+    });
     return out;
 }
 
@@ -93,6 +89,10 @@ Polygons mesh_in_slabs(const openvdb::FloatGrid& grid, int pieces, bool push_off
         Polygons part;
         openvdb::tools::volumeToMesh(*slab, part.points, part.triangles, part.quads, 0.0, 0.0);
         const double lo = borders[s] * voxel + first_world, hi = borders[s + 1] * voxel + first_world;
+        // Vertices of two sheets at one place could not be told apart on a border.
+        std::set<std::array<float, 3>> near_border;
+        for (const openvdb::Vec3s& p : part.points)
+            if (std::fabs(p[axis] - lo) < 4 * voxel && !near_border.insert({p.x(), p.y(), p.z()}).second) throw std::domain_error("two vertices at one place");
         constexpr uint32_t kNew = UINT32_MAX;
         std::vector<uint32_t> number(part.points.size(), kNew);
         std::map<std::array<float, 3>, uint32_t> next_seam;
@@ -131,12 +131,12 @@ Polygons mesh_whole(const openvdb::FloatGrid& grid, double adaptivity, bool push
     return out;
 }
 
-Polygons polygons_of(const openvdb::FloatGrid& grid, const MeshOptions& options, bool push_off) {
+Polygons polygons_of(const openvdb::FloatGrid& grid, const MeshOptions& options, bool push_off, Progress& progress) {
     if (options.pieces > 1) {
         try {
             return mesh_in_slabs(grid, options.pieces, push_off);
         } catch (const std::domain_error&) {
-            // Vertices of two sheets coincide, and only the mesher knows which is whose.
+            progress.note("mesh: vertices of two sheets coincide where slabs meet; made whole instead");
         }
     }
     return mesh_whole(grid, options.adaptivity, push_off);
@@ -205,9 +205,12 @@ Mesh extract_mesh(const openvdb::FloatGrid& surface, const MeshOptions& options,
     if (options.pieces > 1 && options.adaptivity > 0) throw UsageError("mesh: an adaptive mesh cannot be made in slabs");
     // volumeToMesh winds a grid of class level set clockwise seen from outside, any other class the other way.
     const bool flip = surface.getGridClass() == openvdb::GRID_LEVEL_SET;
-    Mesh mesh = to_mesh(polygons_of(surface, options, false), flip, options.quads);
+    Mesh mesh = to_mesh(polygons_of(surface, options, false, progress), flip, options.quads);
     if (mesh.vertices.empty()) throw InputError("mesh: the volume has no surface");
-    if (has_flat_faces(mesh)) mesh = to_mesh(polygons_of(surface, options, true), flip, options.quads);
+    if (has_flat_faces(mesh)) {
+        mesh = {};
+        mesh = to_mesh(polygons_of(surface, options, true, progress), flip, options.quads);
+    }
     progress.step();
     return mesh;
 }

@@ -191,6 +191,10 @@ class Job {
             throw OutputError(o_.output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
         make_folder(o_.output / "stages");
         write_file(o_.output / kMarker, json{{"made_by", "vdbcarve"}}.dump() + "\n");
+        // A finished result keeps its configuration until the new one is finished too.
+        if (!fs::exists(o_.output / "report.json")) write_config();
+    }
+    void write_config() {
         if (!o_.config_text.empty()) write_file(o_.output / "config.toml", o_.config_text);
     }
 
@@ -399,6 +403,8 @@ class Job {
 
     // --------------------------------------------------------------------------------------- memory
 
+    double memory_limit() const { return o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes()); }
+
     /// Leaves of the hull at the planned resolution: those of two coarse hulls, continued. The surface's leaves grow with the
     /// square of the resolution, with a linear part from its creases and ends.
     double predict_leaves() {
@@ -429,17 +435,18 @@ class Job {
     // Bytes a leaf of the surface, measured on the dragon at 512 to 2048 (BENCHMARKS.md): values, masks and nodes; the
     // level set's second set of values and its bookkeeping; the mesh with what OpenVDB needs to extract it (47 vertices a
     // leaf); two volumes, one mesh and compressed buffers while files are written.
-    static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kMeshPerLeaf = 11800, kExportPerLeaf = 8300, kColorPerLeaf = 17000, kColorGridPerLeaf = 6300;
+    static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kExportPerLeaf = 8300, kGlbPerLeaf = 7200, kColorPerLeaf = 17000, kColorGridPerLeaf = 6300, kFilterPerLeaf = 9000;
     // On the device: candidate leaves (1.35 for each that stays) with values, views and cells, and the grid; the level set's two sets
     // of values, its grid and neighbours; edges, vertices with normals and triangles.
     static constexpr double kDeviceHullPerLeaf = 1.35 * (2048 + 64 + 240) + 2148, kDeviceSurfacePerLeaf = 2 * 2048 + 64 + 24 + 2148, kDeviceMeshPerLeaf = 256 + 50 * 24 + 100 * 12;
     // Colours and layers of all voxels in leaves, candidates and the fill's cells of those of the contour.
-    static constexpr double kDeviceColorPerLeaf = 14000;
+    static constexpr double kDeviceColorPerLeaf = 14000, kDeviceFilterPerLeaf = 1.3 * (4 * 2048 + 2148 + 176);
+    static constexpr double kMostSlabs = 64, kProgramBase = 120e6;
     static constexpr double kCarveBase = 20e6, kMeshBase = 40e6, kExportBase = 70e6;
 
     /// Peak memory of the run from here, by stage, into the report; then batches, bricks, or a clear no.
     void plan_memory() {
-        const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
+        const double limit = memory_limit();
         const auto longest = carve_.bounds_world.sizes().maxCoeff() / carve_.lattice.voxel_size;
         batch_ = inputs_.size();
         bricks_ = 1;
@@ -461,8 +468,11 @@ class Job {
         const double carve_peak = resident + kCarveBase + fields + hull;
         const bool colored = o_.color.mode != ColorMode::None;
         const double color_grid = colored ? kColorGridPerLeaf : 0;
-        const double later_peak = std::max({resident + leaves * kLevelSetPerLeaf, colored ? resident + leaves * kColorPerLeaf : 0.0, resident + kMeshBase + leaves * (kMeshPerLeaf + color_grid),
-                                            resident + kExportBase + leaves * (kExportPerLeaf + 1.5 * color_grid)});
+        // The mesher can go in slabs.
+        const double mesher = o_.mesher == Mesher::Dual && o_.adaptivity == 0 ? kMesherBytesPerLeaf / kMostSlabs : kMesherBytesPerLeaf;
+        const double glb = std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), "glb") != o_.mesh_formats.end() ? kGlbPerLeaf : 0;
+        const double later_peak = std::max({resident + leaves * kLevelSetPerLeaf, colored ? resident + leaves * kColorPerLeaf : 0.0, resident + leaves * (kFilterPerLeaf + color_grid),
+                                            resident + kMeshBase + leaves * (kMeshBytesPerLeaf + mesher + color_grid), resident + kExportBase + leaves * (kExportPerLeaf + glb + 1.5 * color_grid)});
         const double peak = o_.last_stage == LastStage::Export ? std::max(carve_peak, later_peak) : carve_peak;
         json& g = report_["grid"];
         g["expected_leaves"] = std::llround(leaves);
@@ -493,7 +503,7 @@ class Job {
         double samples = 0;
         for (const MaskView& m : used_masks_) samples += 0.5 * static_cast<double>(planned_field_bytes(m, field_options_));
         const double base = masks + 14 * samples;
-        const double per_leaf = kDeviceHullPerLeaf + (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf + (o_.color.mode != ColorMode::None ? kDeviceColorPerLeaf : 0) : 0) + (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
+        const double per_leaf = kDeviceHullPerLeaf + (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf + (o_.color.mode != ColorMode::None ? kDeviceColorPerLeaf : 0) + (o_.filters && o_.filters->empty() ? 0 : kDeviceFilterPerLeaf) : 0) + (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
         double room = 0;
         if (!on_device("carve", [&] { room = 0.95 * static_cast<double>(device_->free_bytes()) - base; })) return false;
         if (leaves * per_leaf <= room) return true;
@@ -681,6 +691,8 @@ class Job {
         if (plan.scale > 1)
             progress_.note("the photographs have " + std::to_string(plan.px_per_voxel).substr(0, 4) + " pixels to a voxel: distance fields take a sample for " + std::to_string(plan.scale) + "x" +
                            std::to_string(plan.scale) + " of them (--field-scale 1: every pixel)");
+        if (const FileFrame frame = file_frame(".vdb", frame_request()); frame.scale * carve_.lattice.voxel_size < kLeastVoxel)
+            throw UsageError("voxels of " + std::to_string(1e6 * frame.scale * carve_.lattice.voxel_size) + "e-6 " + frame.units + " are too small for OpenVDB. Remedy: another --dcc, or none, or --units in which the object is larger");
         plan_memory();
     }
 
@@ -754,11 +766,13 @@ class Job {
     bool make_surface() {
         Sha256 h;
         surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).add_value(o_.flat_base).add(o_.flat_base ? up() : "").hex();
-        const fs::path file = store_.path("surface", surface_key_, ".vdb");
-        if (fs::exists(file)) {
+        const fs::path file = store_.path("surface", surface_key_, ".vdb"), note_file = store_.path("surface", surface_key_, ".json");
+        if (const auto note = stage_note(note_file, {"warnings"}); note && fs::exists(file)) {
             surface_ = read_float_grid(file, "surface");
+            warn_again(*note);
             return true;
         }
+        const size_t warnings_before = progress_.warnings().size();
         LevelSetOptions options;
         options.half_width_vox = o_.half_width_vox;
         if (o_.occupancy) {
@@ -786,6 +800,7 @@ class Job {
             }
         }
         write_vdb(file, {surface_}, metadata());
+        write_file(note_file, json{{"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
         return false;
     }
 
@@ -818,14 +833,15 @@ class Job {
     FilterOptions filter_options() {
         FilterOptions options;
         options.repair_volume = o_.repair_volume;
-        options.keep_thin_vox = std::min(o_.keep_thin_vox, 2 * (std::lround(surface_->background() / surface_->voxelSize()[0]) - 0.75));
+        options.keep_thin_vox = std::min(o_.keep_thin_vox, most_keep_thin_vox(o_.half_width_vox));
+        if (options.keep_thin_vox < o_.keep_thin_vox && o_.filters) progress_.note("--keep-thin is " + std::to_string(options.keep_thin_vox).substr(0, 4) + " voxels at most with this band");
         options.device = o_.device;
         json& said = report_["filter"];
         if (o_.filters) {
             options.steps = *o_.filters;
         } else {
             const double softness = mask_softness();
-            options.steps = default_filters(o_.occupancy ? 0 : softness);
+            options.steps = default_filters(o_.occupancy ? -1 : softness);
             said["mask_softness"] = softness;
         }
         said["chain"] = filters_text(options.steps);
@@ -878,6 +894,11 @@ class Job {
             line += text;
         }
         progress_.note(line);
+        said["repaired"] = options.repair_volume && std::fabs(left) <= kVolumeTolerance;
+        if (options.repair_volume && std::fabs(left) > kVolumeTolerance) {
+            std::snprintf(text, sizeof text, "the filter's change of volume could be repaired to %+.3f %% only (%d steps, %+.3f voxel)", 100 * left, result.repair_steps, result.offset_vox);
+            progress_.warn(text);
+        }
         if (std::fabs(change) > 0.01) {
             std::snprintf(text, sizeof text, "the filter takes %.1f %% of the volume (%.4g of %.4g)", -100 * change, result.volume_before - result.volume_filtered, result.volume_before);
             progress_.warn(std::string(text) + (options.repair_volume ? ", which the repair gives back to what is left" : "") + ". Remedy: a higher --resolution, --keep-thin, a weaker --filter");
@@ -958,7 +979,7 @@ class Job {
             if (up.front() == '-') options.up = -options.up;
         }
         const double largest = largest_photo_bytes();
-        const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
+        const double limit = memory_limit();
         const double room = limit - static_cast<double>(resident_memory_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kColorPerLeaf;
         const double wanted = o_.color.batch ? static_cast<double>(o_.color.batch) : static_cast<double>(used_.size());
         options.batch = static_cast<size_t>(std::clamp(room / largest, 1.0, wanted));
@@ -1051,23 +1072,25 @@ class Job {
         if (missed) progress_.warn(std::to_string(missed) + " vertices of the mesh have no coloured voxel around and are black");
     }
 
-    /// How many slabs the mesher goes through the grid in, so that it stays within the limit.
+    /// How many slabs the mesher goes through the grid in, so that it stays within the limit. Not by what is resident now, which differs from run to run: vertices come in another
+    /// order.
     int mesh_pieces() {
-        const double limit = o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes());
         const double leaves = static_cast<double>(surface_->tree().leafCount());
-        const double room = limit - static_cast<double>(resident_memory_bytes()) - leaves * kMeshBytesPerLeaf, wanted = leaves * kMesherBytesPerLeaf;
+        const double held = kProgramBase + leaves * (kTreePerLeaf + (color_ ? kColorGridPerLeaf : 0));
+        const double room = memory_limit() - held - leaves * kMeshBytesPerLeaf, wanted = leaves * kMesherBytesPerLeaf;
         report_["mesh_step"]["expected_bytes"] = std::llround(leaves * (kMeshBytesPerLeaf + kMesherBytesPerLeaf));
         if (wanted <= room || o_.mesher != Mesher::Dual) return 1;
         if (o_.adaptivity > 0) {
             progress_.warn("an adaptive mesh is made in one piece, which may exceed the memory limit. Remedy: --adaptivity 0, then --max-error");
             return 1;
         }
-        return static_cast<int>(std::clamp(std::ceil(wanted / std::max(room, 1.0)), 2.0, 64.0));
+        return static_cast<int>(std::clamp(std::ceil(wanted / std::max(room, 1.0)), 2.0, kMostSlabs));
     }
 
     bool make_mesh() {
         Sha256 h;
-        h.add("mesh").add_value(kCodeVersion).add(filtered_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).add_value(o_.min_piece_share).add(color_key_);
+        const int pieces = mesh_pieces();
+        h.add("mesh").add_value(kCodeVersion).add_value(pieces).add(filtered_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).add_value(o_.min_piece_share).add(color_key_);
         const fs::path file = store_.path("mesh", mesh_key_ = h.add_value(o_.color_from_photos && color_).hex(), ".bin");
         const fs::path note_file = store_.path("mesh", mesh_key_, ".json");
         const auto note = stage_note(note_file, {"vertices_seen_share", "mesh_step", "warnings"});
@@ -1085,7 +1108,7 @@ class Job {
         options.mesher = o_.mesher;
         options.normals = o_.normals;
         options.quads = o_.mesher == Mesher::Dual;
-        options.pieces = mesh_pieces();
+        options.pieces = pieces;
         if (options.pieces > 1) progress_.note("the mesh is made in " + std::to_string(options.pieces) + " slabs, to stay within the memory limit");
         report_["mesh_step"]["slabs"] = options.pieces;
         bool meshed = false;
@@ -1116,7 +1139,8 @@ class Job {
     /// Taubin's smoothing, then fewer faces.
     bool smooth_mesh() {
         SmoothOptions options = o_.smooth;
-        // A binary model has steps that a filter takes away, or else this does.
+        // A binary model has steps of a voxel. The default filter takes them away (normals of a ball of 35 voxels 2.0 degrees off; ten iterations of this alone: 5.2), and
+        // after it there is nothing left to gain here.
         options.iterations = o_.smooth_iterations.value_or(o_.occupancy && report_["filter"]["chain"] == "none" ? 10 : 0);
         report_["smooth"] = {{"iterations", options.iterations}};
         const bool fewer = o_.faces > 0 || o_.max_error > 0;
@@ -1217,15 +1241,12 @@ class Job {
     }
 
     void warn_of_unknown_frame() {
-        const bool glb = std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), "glb") != o_.mesh_formats.end();
-        const bool obj = std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), "obj") != o_.mesh_formats.end();
-        const bool dcc = o_.dcc != Dcc::None;
-        if (!metres_per(views_.units)) {
-            const std::string what = views_.units.empty() ? "the unit of length is unknown" : "the unit '" + views_.units + "' is none that has a length";
-            if (glb || dcc) progress_.warn(what + ": files carry the scene's own numbers" + (glb ? ", and readers of mesh.glb take 1 unit for 1 m" : "") + ". Remedy: --units");
-            else progress_.note(what + ": files carry the scene's own units");
-        }
-        if (up().empty() && (glb || obj || dcc)) progress_.warn("the up axis is unknown: no file is turned, and readers take y (.obj, .glb) or z for up. Remedy: --up");
+        std::set<std::string> said;
+        for (const std::string& format : o_.mesh_formats)
+            if (const std::string unknown = unknown_frame("." + format, frame_request()); !unknown.empty() && said.insert(unknown).second) progress_.warn("mesh." + format + ": " + unknown);
+        if (o_.dcc != Dcc::None && said.empty())
+            if (const std::string unknown = unknown_frame(".vdb", frame_request()); !unknown.empty()) progress_.warn("volume.vdb: " + unknown);
+        if (views_.units.empty() && said.empty()) progress_.note("the unit of length is unknown: files carry the scene's own units");
     }
 
     void export_all() {
@@ -1233,7 +1254,7 @@ class Job {
         warn_of_unknown_frame();
         const FileFrame volume = frame_of("volume.vdb");
         openvdb::GridCPtrVec grids;
-        for (const auto& grid : result_grids()) grids.push_back(in_frame(grid, volume));
+        for (openvdb::GridCPtrVec own = result_grids(); !own.empty(); own.erase(own.begin())) grids.push_back(in_frame(own.front(), volume));
         VdbMetadata described = metadata();
         described.up = volume.up;
         described.units = volume.units;
@@ -1246,7 +1267,8 @@ class Job {
         for (const std::string& format : o_.mesh_formats) {
             const fs::path name = "mesh." + format;
             const FileFrame frame = frame_of(name);
-            write_mesh(o_.output / name, in_frame(mesh_, frame));
+            if (frame.moves()) write_mesh(o_.output / name, in_frame(mesh_, frame));
+            else write_mesh(o_.output / name, mesh_);
         }
         write_file(o_.output / "cameras.json", cameras_json(views_));
         agreement();
@@ -1333,7 +1355,10 @@ class Job {
         out.mesh = measures_;
         out.median_iou = median_iou_;
         out.minimum_iou = minimum_iou_;
-        if (!o_.dry_run) write_file(o_.output / "report.json", out.report_json);
+        if (!o_.dry_run) {
+            write_config();
+            write_file(o_.output / "report.json", out.report_json);
+        }
         return out;
     }
 
@@ -1394,6 +1419,19 @@ std::vector<std::string> mask_names(const Views& views) {
 Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress) {
     openvdb::initialize();
     return Job(options, progress).run();
+}
+
+FileFrame frame_from_scene(const fs::path& output, const std::string& file) {
+    const json report = parse_or_empty(output / "report.json");
+    FileFrame out;
+    try {
+        const json& said = report.at("files").at(file);
+        out.axes = said.at("axes").get<decltype(out.axes)>();
+        out.scale = said.at("scale").get<double>();
+    } catch (const json::exception&) {
+        return {};
+    }
+    return out;
 }
 
 size_t clean(const fs::path& output) {

@@ -147,6 +147,44 @@ else
   expect 7 'without CUDA|no CUDA device.*Remedy: --backend cpu' reconstruct scene -o bad --backend cuda
   check 'without a GPU auto means the CPU' grep -q '"backend": "cpu"' out/report.json
 fi
+
+# Filters, smoothing, files for programs.
+check 'a .glb comes by itself' test -s out1/mesh.glb
+expect 0 'colors: true' info out1/mesh.glb
+expect 0 'filter gaussian:1x1: volume' filter out1 --filter gaussian:1
+check 'the filter changes the mesh' test "$(cmp -s out/mesh.ply out1/mesh.ply; echo $?)" -eq 1
+expect 0 'carve .*already there' filter out1 --filter auto
+check 'and back again' cmp -s out/mesh.ply out1/mesh.ply
+expect 0 'closed manifold' filter out1 --filter gaussian:2 --no-volume-repair --keep-thin 0
+expect 0 'volume -[0-9.]* %$' mesh out1 --adaptivity 0.1
+check 'a refused option leaves the configuration alone' grep -q 'gaussian:2' out1/config.toml
+expect 2 'smooth-mu' smooth out1 --smooth 3 --smooth-lambda 0.9
+check 'so the result and its configuration still fit' grep -q 'gaussian:2' out1/config.toml
+expect 0 'closed manifold' filter out1 --filter auto --adaptivity 0
+expect 0 'closed manifold' smooth out1 --smooth 5 --faces 1000 --mesh-formats ply,obj --quads
+check 'no .glb where none is wanted' test ! -e out1/mesh.glb
+expect 0 'faces: (9[0-9][0-9]|1000)$' info out1/mesh.ply
+expect 0 'closed manifold' mesh out1 --mesher marching-cubes --min-piece 0.2
+expect 0 'closed manifold' color out1 --color best
+expect 0 'reconstruct' filter --help
+expect 3 'config.toml: is not there' filter scene
+expect 2 "'blur' is no filter" reconstruct scene -o bad --filter blur
+expect 2 '1..2 voxels' reconstruct scene -o bad --filter median:7
+expect 2 'keep-thin' reconstruct scene -o bad --resolution 40 --keep-thin -1
+expect 2 'smooth-mu' reconstruct scene -o bad --resolution 40 --smooth 3 --smooth-mu -0.1
+expect 0 'closed manifold' reconstruct scene -o wide --resolution 40 --smooth 3 --smooth-lambda 0.5 --smooth-pass-band 0.1
+expect 2 '--units' reconstruct scene -o bad --resolution 40 --stl-mm
+expect 2 'none of ply' reconstruct scene -o bad --resolution 40 --mesh-formats fbx
+expect 0 'closed manifold' reconstruct scene -o maya --resolution 40 --units m --dcc maya --base flat --vdb-half --mesh-formats ply,glb,stl --stl-mm --cap-tolerance 0.05
+expect 0 'units: cm' info maya/volume.vdb
+expect 0 'half_on_disk: true' info maya/volume.vdb
+expect 0 'CIEDE2000' evaluate maya --truth scene/truth.ply --samples 2000
+check 'a mesh for another program is compared in the scene' grep -Eq 'volume.*[+-]?[0-9.]' stdout
+expect 0 'model.glb' export maya -o model.glb colors.nvdb m.vdb --dcc houdini
+expect 0 'Vec3f|vec3s' info colors.nvdb
+expect 0 'Cd' info m.vdb
+expect 0 'closed: true' info model.glb
+expect 2 'small letters' export out -o MODEL.GLB
 mkdir foreign && touch foreign/file
 expect 6 'not made by vdbcarve' reconstruct scene -o foreign
 expect 6 'cannot be made|is a file' reconstruct scene -o foreign/file/out

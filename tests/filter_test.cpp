@@ -320,6 +320,44 @@ TEST(Filters, PiecesAreThoseOfAFloodFill) {
     }
 }
 
+// The same shape in other units is filtered alike: at the band's end a quotient that is a digit short must not count.
+TEST(Filters, UnitsDoNotMatter) {
+    const auto one = filtered(*ball(12, 1.f), "edge-preserving:2");
+    for (const float voxel : {1.5985744f, 0.1f, 0.7123f}) {
+        const auto other = filtered(*ball(12, voxel), "edge-preserving:2");
+        EXPECT_NEAR(other.offset_vox, one.offset_vox, 1e-6);
+        for (auto v = one.surface->cbeginValueOn(); v; ++v) ASSERT_NEAR(other.surface->tree().getValue(v.getCoord()) / voxel, *v, 2e-5) << voxel;
+    }
+}
+
+// However strong a filter is: a level set without walls between leaves and tiles, which the meshers would not close or would invent.
+TEST(Filters, StrongChainsLeaveALevelSet) {
+    const auto grid = sample(
+        [](const Vec3d& x) {
+            const Vec3d q = x.cwiseAbs() - Vec3d(30, 9, 4);
+            return q.cwiseMax(0).norm() + std::min(q.maxCoeff(), 0.0);
+        },
+        36);
+    for (const char* chain : {"gaussian:4x6", "laplacian:1x300"}) {
+        SCOPED_TRACE(chain);
+        const FilterResult r = filtered(*grid, chain, [](FilterOptions& o) { o.keep_thin_vox = 0; });
+        Progress quiet;
+        for (const Mesher mesher : {Mesher::Dual, Mesher::MarchingCubes}) {
+            MeshOptions o;
+            o.mesher = mesher;
+            EXPECT_TRUE(measure(extract_mesh(*r.surface, o, quiet)).manifold);
+        }
+        // No neighbours differ by more than a step of distance can.
+        auto access = r.surface->getConstAccessor();
+        for (auto v = r.surface->cbeginValueOn(); v; ++v)
+            for (int a = 0; a < 3; ++a) {
+                openvdb::Coord n = v.getCoord();
+                ++n[a];
+                ASSERT_LT(std::fabs(access.getValue(n) - *v), 3.1f) << n;
+            }
+    }
+}
+
 TEST(Filters, SameBitsForAnyNumberOfThreads) {
     openvdb::initialize();
     Progress quiet;

@@ -13,9 +13,11 @@ Command add_again(CLI::App& program, const char* name, const char* what, const c
     auto folder = std::make_shared<std::string>();
     CLI::App* app = program.add_subcommand(name, what);
     app->add_option("out", *folder, "a result's folder; run from where it was made, as its config.toml names the scene from there")->required();
+    app->fallthrough(false);  // what is not known here is for reconstruct, not for the program
     app->prefix_command();
-    app->footer(std::string("Takes any option of reconstruct, in the place of what the result was made with: vdbcarve ") + name + " OUT " + example + "\nOnly this stage and later ones are redone.");
+    app->footer(std::string("Takes any option of reconstruct, in the place of what the result was made with: vdbcarve ") + name + " OUT " + example + "\nWhat they do not change is found done.");
     return {app, [folder, app](Common& common, Progress&) {
+                if (app->get_parent()->get_config_ptr()->count() > 0) throw UsageError("--config: a result's own config.toml is what counts here. Remedy: `vdbcarve --config FILE reconstruct`");
                 const std::filesystem::path config = std::filesystem::path(*folder) / "config.toml";
                 std::ifstream in(config);
                 const std::string text((std::istreambuf_iterator<char>(in)), {});

@@ -10,6 +10,8 @@
 
 #include "cli.h"
 #include "vdbcarve/evaluate.h"
+#include "vdbcarve/export.h"
+#include "vdbcarve/pipeline.h"
 #include "vdbcarve/views.h"
 
 namespace vdbcarve::cli {
@@ -125,7 +127,10 @@ Command add_evaluate(CLI::App& program) {
                 if (raw->truth.empty() && raw->photos.empty()) throw UsageError("evaluate: give --truth, --photos or both");
                 const fs::path result = fs::is_directory(raw->mesh) ? raw->mesh : fs::path();
                 const fs::path mesh_file = result.empty() ? raw->mesh : result / "mesh.ply";
-                const Mesh mesh = read_mesh(mesh_file);
+                // A result for another program lies in that one's axes and units: back to the scene's.
+                const FileFrame frame = frame_from_scene(mesh_file.parent_path(), mesh_file.filename().string());
+                if (raw->from_volume && !result.empty() && frame_from_scene(result, "volume.vdb").moves()) throw UsageError("--from-volume: the volume was made for another program (--dcc), and lies elsewhere than the cameras");
+                const Mesh mesh = in_frame(read_mesh(mesh_file), inverse(frame));
                 std::vector<PhotoComparison> photos;
                 if (!raw->photos.empty()) {
                     if (mesh.colors.empty() && !raw->from_volume) throw InputError(mesh_file.string() + ": has no vertex colours. Remedy: reconstruct with --color blend, from photographs");

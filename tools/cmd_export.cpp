@@ -58,9 +58,9 @@ struct Raw {
 /// The frame of an input: what was said, what a result's report says of its file, or what the format always is.
 FrameRequest frame_of(const Raw& raw, const fs::path& source) {
     FrameRequest out = raw.frame;
-    if (fs::is_directory(raw.in)) {
+    if (fs::exists(source.parent_path() / "report.json")) {
         try {
-            std::ifstream in(fs::path(raw.in) / "report.json");
+            std::ifstream in(source.parent_path() / "report.json");
             const auto report = nlohmann::json::parse(in);
             const auto& said = report.contains("files") && report["files"].contains(source.filename().string()) ? report["files"][source.filename().string()] : report.at("cameras");
             if (out.up.empty()) out.up = said.at("up").get<std::string>();
@@ -75,6 +75,10 @@ FrameRequest frame_of(const Raw& raw, const fs::path& source) {
     return out;
 }
 
+void warn_of_frame(const fs::path& to, const FrameRequest& request) {
+    if (const std::string unknown = unknown_frame(extension_of(to), request); !unknown.empty()) spdlog::warn("{}: {}", to.string(), unknown);
+}
+
 void convert_volume(const fs::path& from, const fs::path& to, FrameRequest request, bool half) {
     openvdb::MetaMap metadata;
     const openvdb::GridPtrVec all = extension_of(from) == ".nvdb" ? read_nvdb(from) : read_vdb(from, &metadata);
@@ -83,6 +87,7 @@ void convert_volume(const fs::path& from, const fs::path& to, FrameRequest reque
     };
     said("up_axis", request.up);
     said("units", request.units);
+    warn_of_frame(to, request);
     const FileFrame frame = file_frame(extension_of(to), request);
     openvdb::GridCPtrVec grids;
     for (const openvdb::GridBase::Ptr& grid : all) {
@@ -110,8 +115,12 @@ void convert_volume(const fs::path& from, const fs::path& to, FrameRequest reque
 
 void convert(const Raw& raw, const fs::path& from, const fs::path& to) {
     const FrameRequest request = frame_of(raw, from);
-    if (is_volume(from)) convert_volume(from, to, request, raw.half);
-    else write_mesh(to, in_frame(read_mesh(from), file_frame(extension_of(to), request)));
+    if (is_volume(from)) {
+        convert_volume(from, to, request, raw.half);
+        return;
+    }
+    warn_of_frame(to, request);
+    write_mesh(to, in_frame(read_mesh(from), file_frame(extension_of(to), request)));
 }
 
 }  // namespace
@@ -126,7 +135,7 @@ Command add_export(CLI::App& program) {
     app->add_option("--units", raw->frame.units, "the input's unit of length: m, cm, mm, inch … (default: likewise)");
     add_dcc_option(*app, raw->frame.dcc);
     app->add_flag("--stl-mm", raw->frame.stl_mm, ".stl in millimetres, for printers");
-    app->add_flag("--vdb-half", raw->half, "16-bit floats in .vdb: half the size, three digits");
+    app->add_flag("--vdb-half", raw->half, "16-bit floats in .vdb: two thirds of the size, three digits");
     return {app, [raw](Common&, Progress& progress) {
                 std::vector<fs::path> sources;
                 for (const std::string& out : raw->out) {

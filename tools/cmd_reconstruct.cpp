@@ -108,7 +108,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
         ->capture_default_str()
         ->check(CLI::Range(0.0, 1.0))
         ->group("Masks");
-    app->add_flag("!--mask-all-components", mask.threshold.largest_component, "keep every piece of a threshold mask, not only the largest")->group("Masks");
+    app->add_flag_function("--mask-all-components", [&mask](int64_t count) { mask.threshold.largest_component = count <= 0; }, "keep every piece of a threshold mask, not only the largest")->group("Masks");
 
     static const std::map<std::string, PixelCentre> centres{{"corner", PixelCentre::Corner}, {"integer", PixelCentre::Integer}};
     app->add_option("--pixel-centre", views.pixel_centre, "centre of the first pixel: corner (0.5, 0.5) or integer (0, 0); default: the camera format's own")
@@ -181,8 +181,8 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option_function<std::string>("--filter", [raw](const std::string& text) {
             raw->options.filters.reset();
             if (text != "auto") raw->options.filters = parse_filters(text);
-        }, "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: median:1 for soft masks, edge-preserving:2x2 for others")->default_str("auto")->group("Filter");
-        app->add_flag("!--no-volume-repair", o.repair_volume, "leave the volume as the filter leaves it")->group("Filter");
+        }, "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: edge-preserving:1 for soft masks, :2 for hard ones, :2x4 for --occupancy")->default_str("auto")->group("Filter");
+        app->add_flag_function("--no-volume-repair", [raw](int64_t count) { raw->options.repair_volume = count <= 0; }, "leave the volume as the filter leaves it")->group("Filter");
         app->add_option("--keep-thin", o.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Filter");
         static const std::map<std::string, bool> bases{{"hull", false}, {"flat", true}};
         app->add_option("--base", o.flat_base, "the foot: hull (default; bulges where only slanted views bound it) or flat, cut where the lowest contour was seen (needs an up axis)")
@@ -190,14 +190,17 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option("--cap-tolerance", o.cap_tolerance, "surface farther beyond the highest and lowest contours seen counts as extrapolated, scene units (default: 2 voxels)")->check(CLI::NonNegativeNumber)->group("Result");
         app->add_flag("--quads", o.quads, "keep quads in .ply and .obj (--mesher dual)")->group("Mesh");
         app->add_option("--min-piece", o.min_piece_share, "pieces with less of the mesh's volume are left out, as a share")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
-        app->add_option("--smooth", o.smooth_iterations, "iterations of Taubin's smoothing (default 0; 10 with --occupancy --filter none)")->check(CLI::Range(0, 10000))->group("Mesh");
+        app->add_option_function<std::string>("--smooth", [raw](const std::string& text) {
+            raw->options.smooth_iterations.reset();
+            if (text != "auto") raw->options.smooth_iterations = static_cast<int>(numbers("--smooth", text, 1)[0]);
+        }, "iterations of Taubin's smoothing; auto: 0, or 10 with --occupancy --filter none")->default_str("auto")->group("Mesh");
         app->add_option("--smooth-lambda", o.smooth.lambda, "its shrinking factor")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
         app->add_option("--smooth-mu", o.smooth.mu, "its growing factor, less than the other's negative")->capture_default_str()->check(CLI::Range(-2.0, 0.0))->group("Mesh");
-        app->add_option("--smooth-pass-band", raw->pass_band, "the same by the frequency that passes, 1/lambda + 1/mu (0.1)")->group("Mesh");
-        app->add_option("--faces", o.faces, "decimate to so many faces")->check(CLI::Range(4, 2000000000))->group("Mesh");
-        app->add_option("--max-error", o.max_error, "decimate as far as no point moves by more, scene units")->check(CLI::PositiveNumber)->group("Mesh");
+        app->add_option("--smooth-pass-band", raw->pass_band, "the same by the frequency that passes, 1/lambda + 1/mu (0.1; 0: by --smooth-mu)")->check(CLI::NonNegativeNumber)->group("Mesh");
+        app->add_option("--faces", o.faces, "decimate to so many faces (0: no)")->check(CLI::Range(0, 2000000000))->group("Mesh");
+        app->add_option("--max-error", o.max_error, "decimate as far as no point moves by more, scene units (0: no)")->check(CLI::NonNegativeNumber)->group("Mesh");
         add_dcc_option(*app, o.dcc);
-        app->add_flag("--vdb-half", o.vdb_half, "16-bit floats in volume.vdb: half the size, three digits")->group("Result");
+        app->add_flag("--vdb-half", o.vdb_half, "16-bit floats in volume.vdb: two thirds of the size, three digits")->group("Result");
         app->add_flag("--stl-mm", o.stl_mm, "mesh.stl in millimetres, for printers (needs --units, or a scene that says them)")->group("Result");
         app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,glb,stl")->delimiter(',')->capture_default_str()->group("Result");
     }

@@ -10,6 +10,7 @@
 #include <cstdio>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "cli.h"
 #include "vdbcarve/error.h"
@@ -128,7 +129,14 @@ int run_program(const std::vector<std::string>& words) {
     if (common.verbose) spdlog::set_level(spdlog::level::debug);
 
     Progress progress;
-    g_progress = &progress;
+    // A command may run the program anew, with a progress of its own.
+    struct Watched {
+        Progress* before;
+        explicit Watched(Progress* now) : before(std::exchange(g_progress, now)) {}
+        Watched(const Watched&) = delete;
+        Watched& operator=(const Watched&) = delete;
+        ~Watched() { g_progress = before; }
+    } watched(&progress);
     std::signal(SIGINT, on_signal);
     std::signal(SIGTERM, on_signal);
     Bar bar;

@@ -58,6 +58,7 @@ struct FileFrame {
     std::string up;     ///< of the file's coordinates; empty: unknown
     std::string units;  ///< m, cm, mm or the scene's own; empty: unknown
     bool operator==(const FileFrame&) const = default;
+    bool moves() const;  ///< whether any point changes
 };
 
 /// Metres to a unit ("m", "cm", "mm", "km", "inch", "ft" and their longer names), or nothing where it is not known.
@@ -75,6 +76,15 @@ struct FrameRequest {
 /// The rest is the scene's, or what `dcc` says. Axes and units that are not known stay as they are. Throws UsageError for another up axis, and for
 /// stl_mm where the unit is not known.
 FileFrame file_frame(const std::string& extension, const FrameRequest& request);
+
+/// What is not known of a file's frame although its readers will assume it, and the remedy; empty where all is known, or nobody assumes.
+std::string unknown_frame(const std::string& extension, const FrameRequest& request);
+
+/// OpenVDB calls transforms with voxels of less than this singular (a determinant below 3e-15).
+inline constexpr double kLeastVoxel = 1.6e-5;
+
+/// The way back; up and units are not known.
+FileFrame inverse(const FileFrame& frame);
 
 /// The mesh with positions and normals in the frame.
 Mesh in_frame(Mesh mesh, const FileFrame& frame);

@@ -2,7 +2,7 @@
 // Stage `filter`: the level set made smoother, its volume kept.
 //
 // The paper smooths a binary volume by a bilateral or anisotropic filter; here values are distances already, so that little is left to
-// do: one median takes the mask's noise away. src/filter.md compares the filters.
+// do. src/filter.md compares the filters.
 #pragma once
 
 #include <openvdb/openvdb.h>
@@ -38,7 +38,8 @@ std::vector<FilterStep> parse_filters(const std::string& text);
 /// The same text back, every width and count written out.
 std::string filters_text(const std::vector<FilterStep>& steps);
 
-/// What `reconstruct` takes where no chain is given: by the share of soft pixels on the masks' contours, 0 (binary) to 1.
+/// What `reconstruct` takes where no chain is given: by the share of soft pixels on the masks' contours, 0 (binary) to 1; negative for the binary model (an
+/// occupancy), whose steps are a voxel high.
 std::vector<FilterStep> default_filters(double mask_softness);
 
 struct FilterOptions {
@@ -46,11 +47,14 @@ struct FilterOptions {
     /// After the chain the surface is moved as a whole until its volume is the one before, to within kVolumeTolerance.
     bool repair_volume = true;
     /// Parts thinner than this many voxels are left as they are, those up to 1 1/2 voxels thicker are filtered in part; 0: nothing is
-    /// protected. At most 2 half-widths - 1 1/2.
+    /// protected. At most most_keep_thin_vox(). The repair moves them with the rest.
     double keep_thin_vox = 4;
     Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
     int device = 0;
 };
+
+/// The largest keep_thin_vox with a half-width.
+double most_keep_thin_vox(int half_width_vox);
 
 /// Of volume; the repair takes at most three Newton steps and moves the surface by at most one voxel.
 inline constexpr double kVolumeTolerance = 1e-4;

@@ -100,6 +100,9 @@ Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress
 /// File names of the views' masks in output/masks, by view.
 std::vector<std::string> mask_names(const Views& views);
 
+/// How a file of a result lies to the scene, as its report says; the scene's own frame where it says nothing.
+FileFrame frame_from_scene(const std::filesystem::path& output, const std::string& file);
+
 /// Empties output/stages of a folder that vdbcarve made; results stay. Returns the bytes freed.
 size_t clean(const std::filesystem::path& output);
 

@@ -37,7 +37,7 @@ struct MeshMeasures {
     double area = 0;
 };
 
-/// Time O(faces log faces).
+/// Time: proportional to the faces; 40 bytes a face besides the mesh.
 MeshMeasures measure(const Mesh& mesh);
 
 /// What drop_small_pieces() did.

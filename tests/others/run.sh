@@ -24,7 +24,7 @@ case $tool in
     node "$here/validate_gltf.js" "$source/build/node/node_modules/gltf-validator" out/mesh.glb plain/mesh.glb ;;
   blender)
     "$program" --quiet reconstruct scene -o preset --resolution 56 --mesh-formats ply,obj,glb,stl --units mm --up y --dcc blender --vdb-half
-    blender -b --factory-startup --python-exit-code 3 --python "$here/blender_check.py" -- out ply.json preset "$source" | grep -v '^Blender\|^$' ;;
+    blender -b --factory-startup --python-exit-code 3 --python "$here/blender_check.py" -- out ply.json preset | grep -v '^Blender\|^$' ;;
   open3d) "$python" "$here/open3d_check.py" out ;;
   python_openvdb)
     "$program" --quiet export out -o half.vdb --vdb-half

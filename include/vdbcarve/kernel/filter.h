@@ -23,6 +23,24 @@ struct FilterPass {
     int axis;   ///< of Box and Least, which go along one
 };
 
+/// A value of the level set in voxels. What lies at the band's end, or beyond, is exactly there: a quotient may be a digit short.
+VDBCARVE_HD float in_voxels(float value, float voxel, float band, float band_vox) { return value >= band ? band_vox : value <= -band ? -band_vox : value / voxel; }
+
+/// What stands in for a leaf that is not there.
+inline constexpr int32_t kOutsideTile = -1, kInsideTile = -2;
+
+/// A voxel at a leaf's border beside a tile stays on the tile's side, however far a filter wants to move the surface: beyond, nothing could follow.
+VDBCARVE_HD float beside_tile(float value, int32_t tile) {
+    const bool inside = tile == kInsideTile;
+    if (tile >= 0 || (value < 0.f) == inside) return value;
+    return inside ? -1e-6f : 1e-6f;
+}
+/// Which of a leaf's surroundings, 0..26, lies beyond each face: -x +x -y +y -z +z.
+VDBCARVE_HD int beyond_face(int face) {
+    const int step = face % 2 ? 1 : -1;
+    return 13 + step * (face / 2 == 0 ? 9 : face / 2 == 1 ? 3 : 1);
+}
+
 /// How far a pass looks along an axis, voxels.
 VDBCARVE_HD int pass_reach(const FilterPass& pass, int axis) {
     if (pass.kind == FilterPass::Box || pass.kind == FilterPass::Least) return axis == pass.axis ? pass.width : 0;
