@@ -334,10 +334,10 @@ TEST(Filters, UnitsDoNotMatter) {
 TEST(Filters, StrongChainsLeaveALevelSet) {
     const auto grid = sample(
         [](const Vec3d& x) {
-            const Vec3d q = x.cwiseAbs() - Vec3d(30, 9, 4);
+            const Vec3d q = x.cwiseAbs() - Vec3d(36, 33, 30);
             return q.cwiseMax(0).norm() + std::min(q.maxCoeff(), 0.0);
         },
-        36);
+        42);
     for (const char* chain : {"gaussian:4x6", "laplacian:1x300"}) {
         SCOPED_TRACE(chain);
         const FilterResult r = filtered(*grid, chain, [](FilterOptions& o) { o.keep_thin_vox = 0; });
