@@ -74,8 +74,9 @@ scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.7, 
 scene.view_settings.view_transform = "Standard"
 
 if picture:
-    scene.render.engine, scene.cycles.samples = "CYCLES", 32
-    scene.cycles.volume_bounces, scene.cycles.volume_step_rate = 2, 1
+    scene.render.engine, scene.cycles.samples = "CYCLES", 64
+    scene.cycles.use_denoising = False  # not every Blender is built with a denoiser
+    scene.cycles.volume_bounces, scene.cycles.volume_step_rate = 8, 1
     scene.render.resolution_x, scene.render.resolution_y = 1280, 720
     scene.render.filepath = picture[0]
     bpy.ops.render.render(write_still=True)
