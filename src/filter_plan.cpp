@@ -85,8 +85,8 @@ std::string filters_text(const std::vector<FilterStep>& steps) {
 }
 
 std::vector<FilterStep> default_filters(double mask_softness) {
-    // Soft masks leave little to smooth, and every filter rounds edges: as little as helps the normals. src/filter.md has the numbers.
-    if (mask_softness >= 0.5) return {{FilterKind::EdgePreserving, 1, 1}};
+    // Soft masks leave nothing to smooth that is worth the edges. src/filter.md has the numbers.
+    if (mask_softness >= 0.5) return {};
     if (mask_softness >= 0) return {{FilterKind::EdgePreserving, 2, 1}};
     return {{FilterKind::EdgePreserving, 2, 4}};
 }

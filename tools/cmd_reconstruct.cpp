@@ -181,7 +181,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option_function<std::string>("--filter", [raw](const std::string& text) {
             raw->options.filters.reset();
             if (text != "auto") raw->options.filters = parse_filters(text);
-        }, "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: edge-preserving:1 for soft masks, :2 for hard ones, :2x4 for --occupancy")->default_str("auto")->group("Filter");
+        }, "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: none for soft masks, edge-preserving:2 for hard ones, :2x4 for --occupancy")->default_str("auto")->group("Filter");
         app->add_flag_function("--no-volume-repair", [raw](int64_t count) { raw->options.repair_volume = count <= 0; }, "leave the volume as the filter leaves it")->group("Filter");
         app->add_option("--keep-thin", o.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Filter");
         static const std::map<std::string, bool> bases{{"hull", false}, {"flat", true}};
