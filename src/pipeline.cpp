@@ -745,14 +745,17 @@ class Job {
 
     std::string up() const { return o_.views.up.empty() ? views_.up : o_.views.up; }
     FrameRequest frame_request() const { return {up(), views_.units, o_.dcc, o_.stl_mm}; }
+    std::vector<Camera> used_cameras() const {
+        const std::vector<Camera> all = views_.cameras();
+        std::vector<Camera> out;
+        for (const size_t u : used_) out.push_back(all[u]);
+        return out;
+    }
     /// Up as a direction; the axis of the orbit where it is not known.
     Vec3d up_direction() const {
         const std::string name = up();
         if (name.empty()) {
-            const std::vector<Camera> all = views_.cameras();
-            std::vector<Camera> cameras;
-            for (const size_t u : used_) cameras.push_back(all[u]);
-            return orbit_axis(cameras);
+            return orbit_axis(used_cameras());
         }
         return (name.front() == '-' ? -1.0 : 1.0) * Vec3d::Unit(name.back() - 'x');
     }
@@ -1188,10 +1191,7 @@ class Job {
         const double tolerance = o_.cap_tolerance > 0 ? o_.cap_tolerance : 2 * surface_->voxelSize()[0];
         const Vec3d axis = up_direction();
         const SeenExtent seen = seen_silhouettes();
-        const std::vector<Camera> all = views_.cameras();
-        std::vector<Camera> cameras;
-        for (const size_t u : used_) cameras.push_back(all[u]);
-        const Extrapolation e = mark_extrapolated(mesh_, cameras, seen, axis, tolerance);
+        const Extrapolation e = mark_extrapolated(mesh_, used_cameras(), seen, axis, tolerance);
         json& said = report_["extrapolated"];
         said = {{"axis", {axis.x(), axis.y(), axis.z()}},
                 {"highest_contour", seen.top_seen ? json(seen.highest) : json()},

@@ -43,8 +43,8 @@ BenchScene packed(const std::string& folder, int views) {
     return out;
 }
 
-/// Medians of seven runs, the first thrown away; once more for `best`.
-void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
+/// From masks to the level set, which stays on the device.
+openvdb::FloatGrid::Ptr make_surface(DevicePipeline& device, const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
     openvdb::initialize();
     CarveOptions c;
     c.bounds_world = scene.bounds;
@@ -53,12 +53,24 @@ void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid,
     DistanceOptions d;
     d.scale = plan.scale;
     d.reach_samples = plan.reach_samples;
-    DevicePipeline device;
     device.upload(scene.mask_views());
     device.distance(d);
     device.carve(scene.inputs(), c, progress);
     device.level_set({});
-    const auto surface = device.surface();
+    return device.surface();
+}
+
+void print_medians(std::map<std::string, std::vector<double>>& steps) {
+    for (auto& [name, ms] : steps) {
+        std::sort(ms.begin(), ms.end());
+        std::printf("  %-34s %8.2f ms\n", name.c_str(), ms[ms.size() / 2]);
+    }
+}
+
+/// Medians of seven runs, the first thrown away; once more for `best`.
+void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
+    DevicePipeline device;
+    const auto surface = make_surface(device, scene, grid, progress);
     const std::vector<ColorInput> inputs = scene.color_inputs();
     for (const ColorMode mode : {ColorMode::Blend, ColorMode::Best}) {
         ColorOptions o;
@@ -76,29 +88,13 @@ void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid,
         }
         std::printf("%s: %zu voxels of the contour, %.1f %% seen, %zu views, %.0f MB on the device\n", mode == ColorMode::Best ? "best" : "blend", result.statistics.surface_voxels,
                     100.0 * static_cast<double>(result.statistics.colored) / static_cast<double>(result.statistics.surface_voxels), inputs.size(), static_cast<double>(device.bytes()) / 1e6);
-        for (auto& [name, ms] : steps) {
-            std::sort(ms.begin(), ms.end());
-            std::printf("  %-34s %8.2f ms\n", name.c_str(), ms[ms.size() / 2]);
-        }
+        print_medians(steps);
     }
 }
 
 void bench_filter(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
-    openvdb::initialize();
-    std::vector<CarveInput> inputs = scene.inputs();
-    CarveOptions c;
-    c.bounds_world = scene.bounds;
-    c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / *std::max_element(grid.begin(), grid.end());
-    const FieldPlan plan = plan_fields(scene.cameras, c);
-    DistanceOptions d;
-    d.scale = plan.scale;
-    d.reach_samples = plan.reach_samples;
     DevicePipeline device;
-    device.upload(scene.mask_views());
-    device.distance(d);
-    device.carve(inputs, c, progress);
-    device.level_set({});
-    const auto surface = device.surface();
+    const auto surface = make_surface(device, scene, grid, progress);
     std::printf("%u leaves\n", surface->tree().leafCount());
     for (const char* chain : {"median:1", "laplacian:1x2", "gaussian:1", "edge-preserving:2", "edge-preserving:2x2"}) {
         FilterOptions o;
@@ -117,10 +113,7 @@ void bench_filter(const test::PackedScene& scene, const std::array<int, 3>& grid
             steps["wall, filter and mesh"].push_back(wall);
         }
         std::printf("%s\n", chain);
-        for (auto& [name, ms] : steps) {
-            std::sort(ms.begin(), ms.end());
-            std::printf("  %-34s %8.2f ms\n", name.c_str(), ms[ms.size() / 2]);
-        }
+        print_medians(steps);
     }
 }
 
