@@ -8,9 +8,8 @@
 #include <nlohmann/json.hpp>
 #include <numbers>
 
+#include "coarse_hull.h"
 #include "statistics.h"
-#include "vdbcarve/carve.h"
-#include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
 
 namespace vdbcarve {
@@ -91,34 +90,26 @@ void check_cameras(const Views& views, CheckResult& out) {
 void check_masks(const CheckOptions& options, const Views& views, CheckResult& out, Progress& progress) {
     Masks masks = make_masks(views, options.views.scene, options.mask, std::vector<std::filesystem::path>(views.views.size()), progress);
     const std::vector<Camera> all = views.cameras();
-    std::vector<CarveInput> inputs;
-    std::vector<MaskView> used;
+    std::vector<std::string> view_names, used_names;
+    std::vector<MaskView> seen, used;
     std::vector<Camera> cameras;
     for (size_t i = 0; i < views.views.size(); ++i) {
+        view_names.push_back(views.views[i].name);
+        seen.push_back(view_of(masks.masks[i]));
         if (masks.masks[i].coverage.empty()) continue;
-        inputs.push_back({views.views[i].name, all[i], nullptr});
+        used_names.push_back(view_names.back());
         cameras.push_back(all[i]);
-        used.push_back(view_of(masks.masks[i]));
+        used.push_back(seen.back());
     }
-    CarveOptions o;
-    o.min_seen = options.min_seen;
     Mesh mesh;
     try {
-        o.bounds_world = automatic_bounds(inputs, used, 0, o, progress);
-        o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / options.resolution;
-        const FieldPlan plan = plan_fields(cameras, o);
-        DistanceOptions d;
-        d.scale = plan.scale;
-        d.reach_samples = plan.reach_samples;
-        const std::vector<DistanceField> fields = distance_fields(used, d, progress);
-        for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
-        mesh = extract_mesh(*level_set(carve(inputs, o, progress).hull, {}, progress), {}, progress);
+        mesh = extract_mesh(*coarse_hull(view_names, all, seen, options.resolution, options.min_seen, progress), {}, progress);
     } catch (const ContradictionError& e) {
         out.errors.push_back(e.what());
         return;
     }
-    out.agreements.resize(inputs.size());
-    tbb::parallel_for(size_t{0}, inputs.size(), [&](size_t i) { out.agreements[i] = {inputs[i].name, compare_silhouettes(silhouette_of(mesh, cameras[i]), used[i])}; });
+    out.agreements.resize(used.size());
+    tbb::parallel_for(size_t{0}, used.size(), [&](size_t i) { out.agreements[i] = {used_names[i], compare_silhouettes(silhouette_of(mesh, cameras[i]), used[i])}; });
     std::vector<double> ious;
     for (const ViewCheck& v : out.agreements) ious.push_back(v.agreement.iou);
     out.median_iou = median(ious);

@@ -82,6 +82,18 @@ struct PhotoComparison {
 /// Throws InputError.
 std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views, const PhotoOptions& options, Progress& progress);
 
+/// How far cameras are from the true ones, after the similarity that fits best: rotations by their mean (Kabsch), then scale and place by the centres.
+struct CameraErrors {
+    double rotation_rms_deg = 0, rotation_max_deg = 0;
+    double centre_rms = 0, centre_median = 0, centre_max = 0;  ///< share of the median distance to the look-at point
+    double focal_ratio = 0;                                    ///< median of focal length / true focal length
+    double reprojection_rms_px = 0;  ///< of the given points, in the true cameras' pixels; after the similarity that fits images best
+    std::vector<double> rotation_deg, centre;                  ///< of each view
+    Similarity truth_from_estimate;
+};
+/// `points_truth`: where reprojection is measured (of the object; empty: not). Throws UndeterminedError for fewer than 3 cameras.
+CameraErrors compare_cameras(const std::vector<Camera>& estimate, const std::vector<Camera>& truth, const std::vector<Vec3d>& points_truth);
+
 std::string evaluation_json(const Evaluation& evaluation);
 
 }  // namespace vdbcarve

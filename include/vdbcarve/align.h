@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stage `align`: cameras from silhouettes alone, for photographs of an object that turned, or was walked around.
+//
+// Silhouette coherence: the line of sight through any point of a silhouette's contour touches the object, so it must touch the hull of
+// all other silhouettes. How far it stays outside, in pixels, is minimised over all cameras (src/align.md).
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "vdbcarve/geometry.h"
+#include "vdbcarve/image.h"
+#include "vdbcarve/progress.h"
+#include "vdbcarve/views.h"
+
+namespace vdbcarve {
+
+/// How the cameras move; each rung has the unknowns of the one before, and more.
+enum class Orbit {
+    Auto,         ///< the lowest that explains contour points which it was not fitted to
+    Turntable,    ///< camera fixed, the object turned by known steps
+    FixedCamera,  ///< camera fixed, the object turned by steps that are known roughly
+    HandHeld      ///< the camera carried around: every view stands, looks and leans as it likes
+};
+const char* name_of(Orbit orbit);
+
+/// The object's turn before the camera from view to view, seen from above. A camera walking around the object clockwise sees it turn
+/// counterclockwise.
+enum class Turn { Auto, Clockwise, Counterclockwise };
+const char* name_of(Turn turn);
+
+struct AlignOptions {
+    Orbit orbit = Orbit::Auto;
+    Turn direction = Turn::Auto;
+    /// Angles by which the object has turned at each view, degrees; empty: equal steps over arc_deg, a ring after the other.
+    std::vector<double> angles_deg;
+    double arc_deg = 360;               ///< of a ring; a full turn does not repeat its start
+    bool arc_known = true;              ///< false: arc_deg is a guess; others are tried
+    std::vector<int> rings;             ///< views in each ring, in the order of the views; empty: one ring a sitting
+    std::vector<int> sittings;          ///< views in each sitting (the object laid on another side), likewise; empty: one
+    double fov_deg = 0;                 ///< horizontal, of the first view; 0: from the photographs where they say it, else found
+    std::optional<Vec2d> principal_point_px;  ///< known; none: near the images' middle, or what the cameras say
+    bool focal_varies = false;          ///< every view has its own focal length, near the others' (focus breathing)
+    bool centre_varies = false;         ///< every view has its own principal point, near the others' (a stabiliser's crop)
+    double known_distance = 0;          ///< median, of the cameras from the axis' middle, in the units wanted; 0: unknown
+    double known_height = 0;            ///< of the object along the axis, likewise
+    std::string units;                  ///< of known_distance or known_height; empty: arbitrary
+    int points = 150;                   ///< contour points a view
+    int restarts = 2;                   ///< from disturbed angles, to see what the silhouettes leave open; 0: none
+    uint64_t seed = 1;
+};
+
+/// What one view says after alignment.
+struct AlignedView {
+    std::string name;
+    double residual_before_px = 0, residual_px = 0;  ///< rms over contour points of max(0, distance outside the others' hull)
+    double residual_p95_px = 0;
+    double coherent = 0;                             ///< share of contour points within half a pixel of it
+    double blame_px = 0;                             ///< rms of the others' residuals that its silhouette holds up
+    bool bad = false;                                ///< its silhouette contradicts the others': it constrained nobody
+    double azimuth_deg = 0;
+    double azimuth_spread_deg = 0;                   ///< over restarts
+};
+
+/// A rung of the ladder of motion models that was tried.
+struct AlignRung {
+    Orbit orbit = Orbit::HandHeld;
+    Turn direction = Turn::Counterclockwise;
+    double rms_px = 0;       ///< of the points fitted to
+    double held_out_px = 0;  ///< of contour sectors that were not fitted to; 0: not tried
+    int unknowns = 0;
+};
+
+struct AlignResult {
+    Views views;                 ///< with cameras; world z is up, along the axis
+    Orbit orbit = Orbit::HandHeld;
+    Turn direction = Turn::Counterclockwise;
+    double rms_px = 0;           ///< of max(0, residual) over views that are not bad
+    double coherent = 0;
+    double mask_noise_px = 0;    ///< of the contours, estimated
+    double focal_px = 0, focal_start_px = 0;
+    double focal_spread = 0;     ///< relative, over restarts
+    double elevation_deg = 0;
+    double principal_x_px = 0, principal_y_px = 0;
+    double other_direction_px = 0;   ///< rms with the object turning the other way; 0: not tried
+    double azimuth_spread_deg = 0;   ///< rms over restarts and views
+    bool angles_observable = true;
+    std::vector<AlignRung> rungs;
+    std::vector<AlignedView> aligned;
+    /// Cameras for the other direction, where the direction is undecided; empty otherwise.
+    std::vector<Camera> other_cameras;
+    std::vector<std::array<float, 3>> touches_world;  ///< where lines of sight through contours touch the hull: the object's outline
+    /// Why the shape must not be trusted; empty: it may.
+    std::vector<std::string> failures;
+    std::vector<std::string> warnings;
+};
+
+/// Finds the cameras. `views` give names, image sizes and, where known, focal lengths (their poses are not looked at); masks[i] belongs to
+/// views.views[i]; views with an empty mask get the camera of their nominal place. Same bits for any number of threads. Time: about
+/// views^2 * points * 10 us. Throws InputError for fewer than 4 views with a silhouette, UsageError for options that contradict each other.
+AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress);
+
+}  // namespace vdbcarve

@@ -1,0 +1,718 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/align.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdarg>
+#include <cstdio>
+#include <map>
+#include <numbers>
+#include <random>
+
+#include "coarse_hull.h"
+#include "coherence_fit.h"
+#include "statistics.h"
+#include "vdbcarve/caps.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/export.h"
+
+namespace vdbcarve {
+
+const char* name_of(Orbit orbit) {
+    switch (orbit) {
+        case Orbit::Auto: return "auto";
+        case Orbit::Turntable: return "turntable";
+        case Orbit::FixedCamera: return "fixed-camera";
+        case Orbit::HandHeld: return "hand-held";
+    }
+    return "";
+}
+const char* name_of(Turn turn) { return turn == Turn::Auto ? "auto" : turn == Turn::Clockwise ? "cw" : "ccw"; }
+
+namespace {
+
+constexpr double kRadians = std::numbers::pi / 180, kTwoPi = 2 * std::numbers::pi;
+
+double square(double x) { return x * x; }
+
+std::string text_of(const char* format, ...) __attribute__((format(printf, 1, 2)));
+std::string text_of(const char* format, ...) {
+    char text[600];
+    va_list arguments;
+    va_start(arguments, format);
+    std::vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    return text;
+}
+
+/// What a photographer did, as far as it is told: one group of views is one ring of one sitting.
+struct Shoot {
+    std::vector<int> ring_of, sitting_of_ring;
+    std::vector<double> turned_rad;  ///< by how much the object has turned since the ring's first view; of its start
+    std::vector<double> passed;      ///< share of the ring, 0..1
+};
+
+/// A way to explain the views, and how well it does.
+struct Candidate {
+    CoherenceFit fit;
+    Orbit orbit = Orbit::HandHeld;
+    Turn turn = Turn::Counterclockwise;
+    double rms_px() const { return fit.rms_px(); }
+};
+
+/// Aligns views that all stand in one ring.
+class RingAligner {
+  public:
+    RingAligner(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) : given_(views), o_(options), progress_(progress), silhouettes_(masks), n_(masks.size()) {
+        if (silhouettes_.seen().size() < 4) throw InputError("align: " + std::to_string(silhouettes_.seen().size()) + " views with a silhouette; at least 4 are needed, a dozen make sense");
+        mask_noise_px_ = find_mask_noise_px();
+    }
+
+    Silhouettes& silhouettes() { return silhouettes_; }
+
+    // ------------------------------------------------------------------------------------- passes
+
+    CoherencePass coarse() const {
+        const int scale = scale_for(110);
+        return {scale, 40, std::max(6.0, silhouettes_.size_px() / 30), 10, 2.0, 1e-2, 0, 2.0 * scale, 2.0 * scale, 1};
+    }
+    CoherencePass middle() const {
+        const int scale = scale_for(250);
+        return {scale, 80, std::max(3.0, silhouettes_.size_px() / 100), 12, 1.0, 1e-2, 0.5 * scale, 1.0 * scale, 1.5 * scale, 8};
+    }
+    /// Weighs residuals by what they turned out to be.
+    CoherencePass fine(double rms_px) const {
+        return {scale_for(700), static_cast<size_t>(o_.points), std::max(1.0, 2 * rms_px), 25, std::clamp(1.5 * rms_px, 0.1, 3.0), 1e-3, 0.5, 0.75, 1.0, 8};
+    }
+    /// A coarse pass that ends below this has found its way.
+    double good_coarse_px() const { return 0.15 * coarse().scale + 0.5 * mask_noise_px_; }
+    double mask_noise_px() const { return mask_noise_px_; }
+
+    // ------------------------------------------------------------------------------------- models
+
+    /// Nominal views, the object turning counterclockwise (cameras clockwise) or the other way.
+    std::vector<OrbitView> nominal(Turn direction, double arc_deg) const {
+        std::vector<OrbitView> out(n_);
+        const double sign = direction == Turn::Counterclockwise ? -1 : 1;
+        const bool closed = std::fabs(std::remainder(arc_deg, 360)) < 1e-9;
+        for (size_t i = 0; i < n_; ++i) {
+            OrbitView& v = out[i];
+            const Intrinsics& k = given_.views[i].camera.intrinsics;
+            v.turn = static_cast<double>(i) / static_cast<double>(closed ? n_ : n_ - 1);
+            v.azimuth_rad = sign * kRadians * (o_.angles_deg.empty() ? arc_deg * v.turn : o_.angles_deg[i] - o_.angles_deg[0]);
+            v.width_px = silhouettes_.width_px(i) ? silhouettes_.width_px(i) : k.width_px;
+            v.height_px = silhouettes_.height_px(i) ? silhouettes_.height_px(i) : k.height_px;
+            const bool known = k.fx > 0;
+            v.aspect = known ? k.fy / k.fx : 1;
+            v.focal_px = o_.fov_deg > 0 ? 0.5 * v.width_px / std::tan(0.5 * o_.fov_deg * kRadians) : known ? k.fx : kStartFocal * std::max(v.width_px, v.height_px);
+            v.cx = o_.principal_point_px ? o_.principal_point_px->x() : known ? k.cx : 0.5 * v.width_px;
+            v.cy = o_.principal_point_px ? o_.principal_point_px->y() : known ? k.cy : 0.5 * v.height_px;
+        }
+        return out;
+    }
+    static constexpr double kStartFocal = 1.4;  ///< of the longer side: 39 degrees, the middle of what phones and cameras have at objects
+
+    bool focal_known() const { return o_.fov_deg > 0 || given_.views[silhouettes_.seen().front()].camera.intrinsics.fx > 0; }
+    double focal_sigma() const { return focal_known() ? 0.15 : 0.6; }
+
+    struct Start {
+        double arc_deg, ln_focal, elevation_rad;
+        bool uneven;  ///< the speed may change smoothly over the turn
+    };
+
+    OrbitModel start(Orbit orbit, Turn direction, const Start& from) const {
+        OrbitModel m(nominal(direction, from.arc_deg), 1);
+        m.global(OrbitModel::LnFocal).value = from.ln_focal;
+        m.ring(0, OrbitModel::Elevation).value = from.elevation_rad;
+        aim(m, orbit);
+        free_parts(m, orbit);
+        if (from.uneven)
+            for (int h = 0; h < OrbitModel::kHarmonics; ++h) m.harmonic(h).release(0, 20 * kRadians);
+        return m;
+    }
+
+    /// Pan and tilt that bring the origin to the silhouettes' middles: of each where the camera is carried, of all together where it is fixed.
+    void aim(OrbitModel& m, Orbit orbit) const {
+        std::vector<double> pan, tilt;
+        for (size_t i : silhouettes_.seen()) {
+            const OrbitCamera c = m.camera(i);
+            pan.push_back(std::atan2(silhouettes_.extent(i).cx - c.cx, c.fx));
+            tilt.push_back(-std::atan2(silhouettes_.extent(i).cy - c.cy, c.fx * c.aspect));
+            if (orbit == Orbit::HandHeld) m.of(i, OrbitModel::Pan).value = pan.back(), m.of(i, OrbitModel::Tilt).value = tilt.back();
+        }
+        if (orbit == Orbit::HandHeld) return;
+        m.ring(0, OrbitModel::RingPan).value = median(pan);
+        m.ring(0, OrbitModel::RingTilt).value = median(tilt);
+    }
+
+    /// What may move, with priors: a hand's unsteadiness, a turntable's unevenness, a lens's tolerance. Priors of aims are around where they are.
+    void free_parts(OrbitModel& m, Orbit orbit) const {
+        m.global(OrbitModel::LnFocal).release(0, focal_sigma());
+        const size_t first = silhouettes_.seen().front();
+        const double diagonal = std::hypot(m.view(first).width_px, m.view(first).height_px), width_rad = m.view(first).width_px / m.focal_px(first);
+        if (!o_.principal_point_px) {
+            m.global(OrbitModel::CentreX).release(0, 0.01 * diagonal);
+            m.global(OrbitModel::CentreY).release(0, 0.01 * diagonal);
+        }
+        if (orbit != Orbit::Turntable && o_.angles_deg.empty()) m.global(OrbitModel::LnArc).release(0, 0.1);
+        m.ring(0, OrbitModel::Elevation).release(0.2, 0.4);
+        if (orbit != Orbit::HandHeld) {
+            for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt}) m.ring(0, part).release(m.ring(0, part).value, 0.3 * width_rad);
+            m.ring(0, OrbitModel::RingRoll).release(0, 6 * kRadians);
+        }
+        for (size_t i : silhouettes_.seen()) {
+            if (orbit != Orbit::Turntable) m.of(i, OrbitModel::Azimuth).release(0, 9 * kRadians);
+            if (orbit == Orbit::HandHeld) {
+                for (const auto part : {OrbitModel::Pan, OrbitModel::Tilt}) m.of(i, part).release(m.of(i, part).value, 0.09 * width_rad);
+                m.of(i, OrbitModel::Roll).release(0, 6 * kRadians);
+                m.of(i, OrbitModel::LnDistance).release(0, 0.03);
+                m.of(i, OrbitModel::Height).release(0, 0.03);
+            }
+            if (o_.focal_varies) m.of(i, OrbitModel::ViewLnFocal).release(0, 0.015);
+            if (o_.centre_varies)
+                for (const auto part : {OrbitModel::ViewCentreX, OrbitModel::ViewCentreY}) m.of(i, part).release(0, 0.01 * diagonal);
+        }
+    }
+
+    /// The same cameras on a higher rung.
+    Candidate climbed(const Candidate& c, Orbit orbit) const {
+        Candidate out = c;
+        out.orbit = orbit;
+        OrbitModel& m = out.fit.model;
+        if (orbit == Orbit::HandHeld)
+            for (const auto& [shared, own] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}}) {
+                for (size_t i = 0; i < n_; ++i) m.of(i, own).value += m.ring(0, shared).value;
+                m.ring(0, shared).hold(0);
+            }
+        free_parts(m, orbit);
+        return out;
+    }
+
+    // ------------------------------------------------------------------------------------- search
+
+    /// Where to start from, the likeliest first; what comes later is tried where these lead nowhere.
+    std::vector<Start> starts() const {
+        std::vector<Start> out;
+        const std::vector<double> focals = focal_known() ? std::vector<double>{0} : std::vector<double>{0, -0.7, 0.6};
+        for (const double elevation : {8.0, 30.0})
+            for (const double focal : focals) out.push_back({o_.arc_deg, focal, elevation * kRadians, false});
+        if (!o_.angles_deg.empty()) return out;
+        out.push_back({o_.arc_deg, 0, 12 * kRadians, true});
+        if (!o_.arc_known)
+            for (const double arc : {330.0, 300.0, 390.0, 270.0, 420.0, 240.0, 450.0, 210.0, 480.0, 180.0, 510.0, 540.0, 150.0})
+                if (std::fabs(arc - o_.arc_deg) > 5) out.push_back({arc, 0, 12 * kRadians, false});
+        return out;
+    }
+
+    void fit(Candidate& c, const CoherencePass& pass, uint64_t seed) {
+        c.fit.points = silhouettes_.contour(pass.scale, pass.points, seed);
+        refine(c.fit, silhouettes_, pass, progress_);
+    }
+
+    std::vector<Turn> turns() const {
+        if (o_.direction != Turn::Auto) return {o_.direction};
+        return {Turn::Counterclockwise, Turn::Clockwise};
+    }
+
+    using Best = std::map<Turn, Candidate>;
+    static bool settled(const Best& best, double good_px) {
+        std::vector<double> found;
+        for (const auto& [turn, c] : best) found.push_back(c.rms_px());
+        std::sort(found.begin(), found.end());
+        return !found.empty() && found.front() < good_px && (found.size() == 1 || found.back() > 4 * found.front() + 0.5 * good_px);
+    }
+    static Candidate& lead(Best& best) {
+        return std::min_element(best.begin(), best.end(), [](const auto& a, const auto& b) { return a.second.rms_px() < b.second.rms_px(); })->second;
+    }
+
+    /// Tries a range of starts in each direction, until one has clearly found its way. Adds to `best`.
+    void search(Orbit orbit, const std::vector<Start>& from, Best& best) {
+        for (const Start& s : from) {
+            if (settled(best, good_coarse_px())) return;
+            for (Turn turn : turns()) {
+                Candidate c{{}, orbit, turn};
+                c.fit.model = start(orbit, turn, s);
+                CoherencePass pass = coarse();
+                if (!best.empty()) pass.give_up_px = 10 * lead(best).rms_px() + good_coarse_px();
+                fit(c, pass, 1);
+                trace("%s %s arc %.0f f x%.2f e %.0f%s: %.3f px, f x%.3f", name_of(orbit), name_of(turn), s.arc_deg, std::exp(s.ln_focal), s.elevation_rad / kRadians, s.uneven ? " uneven" : "", c.rms_px(),
+                      std::exp(c.fit.model.global(OrbitModel::LnFocal).value));
+                const auto known = best.find(turn);
+                if (known == best.end() || c.rms_px() < known->second.rms_px()) best[turn] = std::move(c);
+            }
+        }
+    }
+
+    void polish(Candidate& c) {
+        // Where the speed changed smoothly is now known well enough for single views to take over.
+        fit(c, middle(), 2);
+        const double after_middle = c.rms_px();
+        trace("middle %.4f", after_middle);
+        fit(c, fine(after_middle), 3);
+        trace("fine %.4f", c.rms_px());
+        trim(c.fit);
+        const double rms = c.rms_px();
+        if (rms < 0.5 * after_middle) refine(c.fit, silhouettes_, fine(rms), progress_);
+        trace("%s %s polished: %.4f px after %.4f, f %.1f", name_of(c.orbit), name_of(c.turn), c.rms_px(), after_middle, c.fit.model.focal_px(silhouettes_.seen().front()));
+    }
+
+    /// Leaves out points that fit so badly that their silhouette, not the cameras, must be wrong.
+    static void trim(CoherenceFit& f) {
+        std::vector<double> positive;
+        for (const Touch& t : f.touches)
+            if (t.residual_px > 0) positive.push_back(t.residual_px);
+        const double limit = std::max(1.0, 6 * median(positive));
+        std::vector<ContourPoint> points;
+        std::vector<Touch> touches;
+        for (size_t p = 0; p < f.points.size(); ++p)
+            if (!(f.touches[p].residual_px > limit)) points.push_back(f.points[p]), touches.push_back(f.touches[p]);
+        f.points = std::move(points);
+        f.touches = std::move(touches);
+    }
+
+    /// What a rung makes of contour sectors that it was not fitted to: errors of a mask are alike along its contour, so that freedom which only follows
+    /// them gains nothing there.
+    double held_out_px(const Candidate& c) {
+        Candidate half = c;
+        CoherencePass pass = fine(c.rms_px());
+        pass.points = std::min<size_t>(pass.points, 100);
+        pass.iterations = 8;
+        half.fit.points = silhouettes_.contour(pass.scale, pass.points, 11, 1);
+        refine(half.fit, silhouettes_, pass, progress_);
+        CoherenceFit rest = half.fit;
+        rest.points = silhouettes_.contour(pass.scale, pass.points, 12, 2);
+        rest.touches = touches_of(silhouettes_, rest.model, rest.points, pass);
+        trim(rest);
+        return rest.rms_px();
+    }
+
+    /// The best explanation in each direction; the rungs that were tried.
+    Best run(std::vector<AlignRung>& rungs) {
+        const std::vector<Start> all = starts();
+        Best table, hand;
+        const bool any = o_.orbit == Orbit::Auto;
+        if (any || o_.orbit != Orbit::HandHeld) search(Orbit::Turntable, {all.front()}, table);
+        if (any || o_.orbit == Orbit::HandHeld) {
+            if (any && settled(table, good_coarse_px())) {
+                Candidate up = climbed(lead(table), Orbit::HandHeld);
+                fit(up, coarse(), 1);
+                hand[up.turn] = std::move(up);
+            } else {
+                search(Orbit::HandHeld, all, hand);
+            }
+        }
+        progress_.step(3);
+        if (!table.empty() && !settled(table, good_coarse_px()) && (hand.empty() || !settled(hand, good_coarse_px()))) search(Orbit::Turntable, {all.begin() + 1, all.end()}, table);
+        progress_.step(1);
+
+        // The rungs, each from the one below or from its own search, whichever is better.
+        const auto unknowns = [](const Candidate& c) { return static_cast<int>(c.fit.model.free().size()); };
+        std::vector<Candidate> ladder;
+        const double best_coarse = std::min(table.empty() ? INFINITY : lead(table).rms_px(), hand.empty() ? INFINITY : lead(hand).rms_px());
+        const auto in_the_race = [&](double rms) { return rms < 5 * best_coarse + 0.1 * coarse().scale; };
+        if (!table.empty()) {
+            Candidate& c = lead(table);
+            if (o_.orbit == Orbit::Turntable || in_the_race(c.rms_px())) {
+                if (o_.orbit != Orbit::FixedCamera) {
+                    polish(c);
+                    ladder.push_back(c);
+                }
+            } else {
+                rungs.push_back({c.orbit, c.turn, c.rms_px(), 0, unknowns(c)});
+            }
+            if (any || o_.orbit == Orbit::FixedCamera) {
+                Best fixed;
+                for (auto& [turn, t] : table) {
+                    if (any && turn != c.turn) continue;
+                    fixed[turn] = climbed(t, Orbit::FixedCamera);
+                    fit(fixed[turn], coarse(), 1);
+                }
+                if (o_.orbit == Orbit::FixedCamera || in_the_race(lead(fixed).rms_px())) {
+                    polish(lead(fixed));
+                    ladder.push_back(lead(fixed));
+                }
+                if (o_.orbit == Orbit::FixedCamera) table = fixed;
+            }
+        }
+        if (!hand.empty()) {
+            polish(lead(hand));
+            ladder.push_back(lead(hand));
+        }
+        progress_.step(3);
+        size_t chosen = 0;
+        std::vector<double> held_out(ladder.size(), 0);
+        if (ladder.size() > 1) {
+            for (size_t r = 0; r < ladder.size(); ++r) held_out[r] = held_out_px(ladder[r]);
+            // More unknowns have to earn their place, by more than the scatter of such comparisons.
+            for (size_t r = 1; r < ladder.size(); ++r)
+                if (held_out[r] < 0.85 * held_out[chosen] - 0.005) chosen = r;
+        }
+        for (size_t r = 0; r < ladder.size(); ++r) {
+            rungs.push_back({ladder[r].orbit, ladder[r].turn, ladder[r].rms_px(), held_out[r], unknowns(ladder[r])});
+            trace("rung %s: %.4f px, held out %.4f", name_of(ladder[r].orbit), ladder[r].rms_px(), held_out[r]);
+        }
+        Best out;
+        const Candidate& winner = ladder[chosen];
+        out[winner.turn] = winner;
+        // The other direction gets as fair a chance as it has earned.
+        for (Best* tried : {&hand, &table})
+            for (auto& [turn, c] : *tried)
+                if (turn != winner.turn && !out.count(turn) && (c.orbit == winner.orbit || hand.empty() || table.empty())) {
+                    if (c.rms_px() < 4 * best_coarse + good_coarse_px()) polish(c);
+                    out[turn] = c;
+                }
+        if (o_.direction == Turn::Auto && out.size() == 1) {
+            const Turn other = winner.turn == Turn::Clockwise ? Turn::Counterclockwise : Turn::Clockwise;
+            Candidate c{{}, winner.orbit, other};
+            c.fit.model = start(winner.orbit, other, {o_.arc_deg, winner.fit.model.global(OrbitModel::LnFocal).value, winner.fit.model.ring(0, OrbitModel::Elevation).value, false});
+            fit(c, coarse(), 1);
+            if (c.rms_px() < 4 * best_coarse + good_coarse_px()) polish(c);
+            out[other] = c;
+        }
+        progress_.step(1);
+        return out;
+    }
+
+    void trace(const char* format, ...) const __attribute__((format(printf, 2, 3))) {
+        if (!std::getenv("VDBCARVE_TRACE")) return;
+        static const auto t0 = std::chrono::steady_clock::now();
+        std::fprintf(stderr, "%6.2f ", std::chrono::duration<double>(std::chrono::steady_clock::now() - t0).count());
+        va_list arguments;
+        va_start(arguments, format);
+        std::vfprintf(stderr, format, arguments);
+        std::fputc('\n', stderr);
+        va_end(arguments);
+    }
+
+  private:
+    /// Standard deviation of the contours around their own smooth course, pixels.
+    double find_mask_noise_px() {
+        const int smooth = 6;
+        std::vector<double> distances;
+        const std::vector<ContourPoint> points = silhouettes_.contour(1, 200, 31);
+        const std::vector<CoherenceView> views = silhouettes_.at_scale(smooth);
+        for (const ContourPoint& p : points) {
+            const CoherenceView& v = views[static_cast<size_t>(p.view)];
+            if (!v.field) continue;
+            const kernel::FieldView f = v.field->silhouette.view();
+            distances.push_back(std::fabs(kernel::interpolate(kernel::fetch_patch(f, p.x_px / smooth, p.y_px / smooth))) * smooth / kernel::kFieldUnits);
+        }
+        return 1.4826 * median(distances);
+    }
+
+    int scale_for(double samples) const { return std::max(1, static_cast<int>(std::lround(silhouettes_.size_px() / samples))); }
+
+    const Views& given_;
+    const AlignOptions& o_;
+    Progress& progress_;
+    Silhouettes silhouettes_;
+    size_t n_;
+    double mask_noise_px_ = 0;
+};
+
+void check_options(const AlignOptions& o, size_t views, size_t masks) {
+    std::string wrong;
+    const auto need = [&](bool ok, const std::string& what) {
+        if (!ok) wrong += (wrong.empty() ? "" : "; ") + what;
+    };
+    need(masks == views, "align: as many masks as views are needed");
+    need(o.angles_deg.empty() || o.angles_deg.size() == views, "--angles: " + std::to_string(o.angles_deg.size()) + " angles for " + std::to_string(views) + " views");
+    for (const auto& [name, counts] : {std::pair{"--rings", &o.rings}, {"--sittings", &o.sittings}}) {
+        int sum = 0;
+        for (int c : *counts) {
+            need(c >= 4, std::string(name) + ": " + std::to_string(c) + " views together, at least 4 are needed");
+            sum += c;
+        }
+        need(counts->empty() || static_cast<size_t>(sum) == views, std::string(name) + ": " + std::to_string(sum) + " views, the scene has " + std::to_string(views));
+    }
+    need(o.arc_deg >= 20 && o.arc_deg <= 3600, text_of("--arc: %g degrees, must be 20..3600", o.arc_deg));
+    need(o.fov_deg >= 0 && o.fov_deg < 170, text_of("--fov: %g degrees, must be within 0..170", o.fov_deg));
+    need(o.points >= 10 && o.points <= 5000, text_of("align: %d contour points a view, must be 10..5000", o.points));
+    need(o.restarts >= 0 && o.restarts <= 20, text_of("--restarts: %d, must be 0..20", o.restarts));
+    need(o.known_distance >= 0 && o.known_height >= 0 && (o.known_distance == 0 || o.known_height == 0), "give one of --known-distance and --known-height, > 0");
+    if (!wrong.empty()) throw UsageError(wrong);
+}
+
+/// Everything that is known about an alignment, once cameras are found.
+class Judge {
+  public:
+    Judge(RingAligner& aligner, const Views& views, const AlignOptions& options, Progress& progress) : aligner_(aligner), s_(aligner.silhouettes()), given_(views), o_(options), progress_(progress) {}
+
+    /// Residuals by view, of points drawn anew.
+    std::vector<AlignedView> views_of(const OrbitModel& model, const CoherencePass& pass) {
+        const std::vector<ContourPoint> points = s_.contour(pass.scale, pass.points, 21);
+        const std::vector<Touch> touches = touches_of(s_, model, points, pass);
+        const std::vector<CoherenceView>& views = s_.at_scale(pass.scale);
+        const std::vector<OrbitCamera> cameras = model.cameras();
+        const size_t n = s_.count();
+        std::vector<AlignedView> out(n);
+        std::vector<std::vector<double>> residuals(n);
+        std::vector<double> blame(n, 0);
+        for (size_t p = 0; p < points.size(); ++p) {
+            const double r = touches[p].residual_px;
+            if (std::isnan(r)) continue;
+            residuals[static_cast<size_t>(points[p].view)].push_back(std::max(0.0, r));
+            if (r < 0.5) continue;
+            // Whose silhouettes keep the line of sight out of the hull.
+            const std::vector<Support> supports = supports_of(views, cameras, points[p], touches[p], 1, 8);
+            if (supports.empty()) continue;
+            std::vector<double> values, slopes;
+            for (const Support& x : supports) values.push_back(x.distance_px), slopes.push_back(x.slope);
+            const Minimax held = minimax(values.data(), slopes.data(), values.size(), 1);
+            blame[static_cast<size_t>(supports[held.first].view)] += held.share * r * r;
+            blame[static_cast<size_t>(supports[held.second].view)] += (1 - held.share) * r * r;
+        }
+        for (size_t i = 0; i < n; ++i) {
+            AlignedView& v = out[i];
+            v.name = given_.views[i].name;
+            v.bad = s_.bad(i);
+            v.azimuth_deg = std::remainder(model.azimuth(i) / kRadians, 360);
+            if (residuals[i].empty()) continue;
+            double sum = 0;
+            size_t near = 0;
+            for (double r : residuals[i]) sum += r * r, near += r < 0.5;
+            v.residual_px = std::sqrt(sum / static_cast<double>(residuals[i].size()));
+            v.residual_p95_px = percentile(residuals[i], 0.95);
+            v.coherent = static_cast<double>(near) / static_cast<double>(residuals[i].size());
+            v.blame_px = std::sqrt(blame[i] / static_cast<double>(pass.points));
+        }
+        return out;
+    }
+
+    /// Marks views whose silhouettes contradict the others'. True when there are new ones.
+    bool mark_bad(const std::vector<AlignedView>& views) {
+        std::vector<double> own, blame;
+        for (size_t i : s_.seen()) own.push_back(views[i].residual_px), blame.push_back(views[i].blame_px);
+        // Real masks stray by a pixel here and there; that is what trimming points is for.
+        const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}), blame_limit = std::max({1.5, s_.size_px() / 250, 5 * median(blame)});
+        std::vector<std::pair<double, size_t>> worst;
+        for (size_t i : s_.seen())
+            if (!s_.bad(i) && (views[i].residual_px > own_limit || views[i].blame_px > blame_limit)) worst.push_back({std::max(views[i].residual_px / own_limit, views[i].blame_px / blame_limit), i});
+        std::sort(worst.rbegin(), worst.rend());
+        size_t already = 0;
+        for (size_t i : s_.seen()) already += s_.bad(i);
+        const size_t most = s_.seen().size() / 4;
+        bool any = false;
+        for (const auto& [how, i] : worst)
+            if (already < most) s_.set_bad(i, true), ++already, any = true;
+        return any;
+    }
+
+  private:
+    RingAligner& aligner_;
+    Silhouettes& s_;
+    const Views& given_;
+    const AlignOptions& o_;
+    Progress& progress_;
+};
+
+Views with_cameras(const Views& given, const OrbitModel& model) {
+    Views out = given;
+    for (size_t i = 0; i < out.views.size(); ++i) {
+        out.views[i].camera = model.camera(i).camera(model.view(i).width_px, model.view(i).height_px);
+        out.views[i].lens = given.views[i].lens;
+        out.views[i].sitting = "0";
+    }
+    out.sittings = {Sitting{}};
+    out.up = "z";
+    out.format = "align";
+    out.metric = true;
+    return out;
+}
+
+AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
+    RingAligner aligner(given, masks, o, progress);
+    Silhouettes& silhouettes = aligner.silhouettes();
+    aligner.trace("begin");
+    progress.begin("align", 12);
+    AlignResult out;
+    RingAligner::Best best = aligner.run(out.rungs);
+    Candidate c = RingAligner::lead(best);
+    Judge judge(aligner, given, o, progress);
+    out.mask_noise_px = aligner.mask_noise_px();
+
+    // Bad silhouettes are named, and then ignored.
+    out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
+    for (int round = 0; round < 2 && judge.mark_bad(out.aligned); ++round) {
+        aligner.fit(c, aligner.fine(c.rms_px()), 5);
+        RingAligner::trim(c.fit);
+        refine(c.fit, silhouettes, aligner.fine(c.rms_px()), progress);
+        out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
+    }
+    progress.step(1);
+
+    // What the silhouettes leave open: the same result from disturbed angles?
+    std::mt19937_64 random(o.seed);
+    std::normal_distribution<double> normal;
+    CoherencePass quick = aligner.middle();
+    quick.sigma_px = std::clamp(2 * c.rms_px(), 0.1, 3.0);
+    quick.points = 50;
+    quick.iterations = 8;
+    Candidate home = c.orbit == Orbit::Turntable ? aligner.climbed(c, Orbit::FixedCamera) : c;
+    aligner.fit(home, quick, 41);
+    const auto azimuths = [&](const Candidate& x) {
+        std::vector<double> a;
+        double mean = 0;
+        for (size_t i : silhouettes.seen()) a.push_back(x.fit.model.azimuth(i) - home.fit.model.azimuth(i)), mean += a.back() / static_cast<double>(silhouettes.seen().size());
+        for (double& v : a) v = (v - mean) / kRadians;
+        return a;
+    };
+    std::vector<double> spread_squares(silhouettes.seen().size(), 0);
+    double focal_squares = 0;
+    int used = 0;
+    for (int r = 0; r < o.restarts; ++r) {
+        Candidate x = home;
+        for (size_t i : silhouettes.seen()) x.fit.model.of(i, OrbitModel::Azimuth).value += 2.5 * kRadians * normal(random);
+        x.fit.model.global(OrbitModel::LnFocal).value += 0.05 * normal(random);
+        refine(x.fit, silhouettes, quick, progress);
+        aligner.trace("restart: %.4f px, at home %.4f, f %.1f", x.rms_px(), home.rms_px(), x.fit.model.focal_px(0));
+        if (x.rms_px() > 2 * home.rms_px() + 0.1) continue;  // it did not come home: no evidence of freedom
+        ++used;
+        const std::vector<double> a = azimuths(x);
+        for (size_t k = 0; k < a.size(); ++k) spread_squares[k] += a[k] * a[k];
+        focal_squares += square(x.fit.model.global(OrbitModel::LnFocal).value - home.fit.model.global(OrbitModel::LnFocal).value);
+    }
+    if (used > 0) {
+        double sum = 0;
+        for (size_t k = 0; k < spread_squares.size(); ++k) {
+            out.aligned[silhouettes.seen()[k]].azimuth_spread_deg = std::sqrt(spread_squares[k] / used);
+            sum += spread_squares[k] / used;
+        }
+        out.azimuth_spread_deg = std::sqrt(sum / static_cast<double>(spread_squares.size()));
+        out.focal_spread = std::sqrt(focal_squares / used);
+    }
+    progress.step(2);
+
+    const double limit_spread_deg = std::max(0.5, 3 * c.rms_px() / (0.5 * silhouettes.size_px()) / kRadians);
+    if (out.azimuth_spread_deg > limit_spread_deg) {
+        out.angles_observable = false;
+        if (c.orbit != Orbit::Turntable) {
+            // Nothing says what the angles are: those that were meant are as good as any.
+            Candidate held = c;
+            OrbitModel& m = held.fit.model;
+            m.global(OrbitModel::LnArc).hold(0);
+            for (int h = 0; h < OrbitModel::kHarmonics; ++h) m.harmonic(h).hold(0);
+            for (size_t i : silhouettes.seen()) m.of(i, OrbitModel::Azimuth).hold(0);
+            aligner.polish(held);
+            if (held.rms_px() < 1.5 * c.rms_px() + 0.05) {
+                c = held;
+                auto before = out.aligned;
+                out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
+                for (size_t i = 0; i < before.size(); ++i) out.aligned[i].azimuth_spread_deg = before[i].azimuth_spread_deg;
+            }
+        }
+    }
+
+    aligner.trace("judged");
+    // Residuals before: of the start that the photographer's word gives.
+    {
+        const RingAligner::Start from = aligner.starts().front();
+        const OrbitModel first = aligner.start(c.orbit, c.turn, from);
+        const std::vector<AlignedView> before = judge.views_of(first, aligner.coarse());
+        for (size_t i = 0; i < before.size(); ++i) out.aligned[i].residual_before_px = before[i].residual_px;
+        out.focal_start_px = first.focal_px(silhouettes.seen().front());
+    }
+
+    const OrbitModel& m = c.fit.model;
+    const size_t first = silhouettes.seen().front();
+    out.orbit = c.orbit;
+    out.direction = c.turn;
+    std::vector<double> squares;
+    double sum = 0, coherent = 0;
+    size_t good = 0;
+    for (size_t i : silhouettes.seen())
+        if (!silhouettes.bad(i)) sum += square(out.aligned[i].residual_px), coherent += out.aligned[i].coherent, ++good;
+    out.rms_px = std::sqrt(sum / static_cast<double>(good));
+    out.coherent = coherent / static_cast<double>(good);
+    out.focal_px = m.focal_px(first);
+    out.elevation_deg = m.ring(0, OrbitModel::Elevation).value / kRadians;
+    out.principal_x_px = m.camera(first).cx;
+    out.principal_y_px = m.camera(first).cy;
+    for (const auto& [turn, other] : best)
+        if (turn != c.turn) out.other_direction_px = other.rms_px();
+    out.views = with_cameras(given, m);
+    for (const Touch& t : c.fit.touches) {
+        const auto p = static_cast<size_t>(&t - c.fit.touches.data());
+        if (std::isnan(t.residual_px) || t.residual_px > 1) continue;
+        const Vec3d x = touch_position(m.camera(static_cast<size_t>(c.fit.points[p].view)), c.fit.points[p], t.depth);
+        out.touches_world.push_back({static_cast<float>(x.x()), static_cast<float>(x.y()), static_cast<float>(x.z())});
+    }
+
+    aligner.trace("before");
+    // ---------------------------------------------------------------------------------- verdict
+    const double allowed_px = std::max({1.0, silhouettes.size_px() / 400, 1.5 * out.mask_noise_px});
+    if (out.rms_px > allowed_px)
+        out.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may. Not one turn of the object at even steps (--angles, --arc), masks of different "
+                                       "objects, or an orbit too far from what was assumed (--orbit, --fov)",
+                                       out.rms_px, allowed_px));
+    std::string names;
+    size_t bad = 0;
+    for (size_t i : silhouettes.seen())
+        if (silhouettes.bad(i) && bad++ < 6) names += (names.empty() ? "" : ", ") + given.views[i].name;
+    if (bad) out.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s%s. Remedy: look at their masks", bad, names.c_str(), bad > 6 ? " …" : ""));
+    if (bad >= silhouettes.seen().size() / 4 && bad > 1) out.failures.push_back("a quarter of the silhouettes contradicts the others: which ones are wrong cannot be told");
+    const bool mirrored_alike = o.direction == Turn::Auto && out.other_direction_px < 3 * out.rms_px + 0.1;
+    if (!out.angles_observable)
+        out.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "
+                                       "Remedy: texture with --method refine, or a marker mat",
+                                       out.azimuth_spread_deg, o.angles_deg.empty() ? "even" : "given"));
+    else if (mirrored_alike) {
+        out.failures.push_back(text_of("which way the object turned cannot be told from the silhouettes (%.2f px one way, %.2f px the other), and the wrong one gives its mirror image. Remedy: --direction cw or ccw (seen from above)", out.rms_px,
+                                       out.other_direction_px));
+        for (const auto& [turn, other] : best)
+            if (turn != c.turn)
+                for (size_t i = 0; i < given.views.size(); ++i) out.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
+    }
+    const double ln_focal = m.global(OrbitModel::LnFocal).value;
+    if (std::fabs(ln_focal) > 2.5 * aligner.focal_sigma())
+        out.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out.focal_px, out.focal_start_px));
+    else if (out.focal_spread > 0.05)
+        out.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out.focal_spread));
+    progress.step(1);
+    return out;
+}
+
+/// Moves and scales what was found so that one length is known.
+void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
+    double scale = 1;
+    const std::vector<Camera> cameras = r.views.cameras();
+    if (o.known_distance > 0) {
+        std::vector<double> distances;
+        for (size_t i = 0; i < cameras.size(); ++i)
+            if (!masks[i].coverage.empty()) distances.push_back(cameras[i].centre_world().norm());
+        scale = o.known_distance / median(distances);
+    } else if (o.known_height > 0) {
+        std::vector<std::string> names;
+        std::vector<MaskView> trusted = masks;
+        for (size_t i = 0; i < cameras.size(); ++i) {
+            names.push_back(r.views.views[i].name);
+            if (r.aligned[i].bad) trusted[i] = {};
+        }
+        Progress quiet;
+        const openvdb::FloatGrid::Ptr hull = coarse_hull(names, cameras, trusted, 256, 0.6, quiet);
+        const SeenExtent seen = seen_extent(*hull, cameras, trusted, Vec3d::UnitZ());
+        if (!seen.top_seen || !seen.bottom_seen) throw UndeterminedError("--known-height: every silhouette is cut by its frame above or below, so how high the object is was not seen. Remedy: --known-distance");
+        scale = o.known_height / (seen.highest - seen.lowest);
+    } else {
+        r.views.units.clear();
+        return;
+    }
+    r.views.units = o.units;
+    for (View& v : r.views.views) v.camera.camera_from_world.translation *= scale;
+    for (Camera& c : r.other_cameras) c.camera_from_world.translation *= scale;
+    for (auto& t : r.touches_world)
+        for (float& x : t) x = static_cast<float>(x * scale);
+    progress.note(text_of("scale: one camera distance is %.6g%s%s", scale, o.units.empty() ? "" : " ", o.units.c_str()));
+}
+
+}  // namespace
+
+AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) {
+    check_options(options, views.views.size(), masks.size());
+    AlignResult out = align_ring(views, masks, options, progress);
+    apply_scale(out, masks, options, progress);
+    return out;
+}
+
+}  // namespace vdbcarve

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "coarse_hull.h"
+
+#include "vdbcarve/carve.h"
+#include "vdbcarve/distance.h"
+#include "vdbcarve/level_set.h"
+
+namespace vdbcarve {
+
+openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, int resolution, double min_seen, Progress& progress) {
+    openvdb::initialize();
+    std::vector<CarveInput> inputs;
+    std::vector<MaskView> used;
+    std::vector<Camera> used_cameras;
+    for (size_t i = 0; i < cameras.size(); ++i) {
+        if (masks[i].coverage.empty()) continue;
+        inputs.push_back({names[i], cameras[i], nullptr});
+        used_cameras.push_back(cameras[i]);
+        used.push_back(masks[i]);
+    }
+    CarveOptions o;
+    o.min_seen = min_seen;
+    o.bounds_world = automatic_bounds(inputs, used, 0, o, progress);
+    o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / resolution;
+    const FieldPlan plan = plan_fields(used_cameras, o);
+    DistanceOptions d;
+    d.scale = plan.scale;
+    d.reach_samples = plan.reach_samples;
+    const std::vector<DistanceField> fields = distance_fields(used, d, progress);
+    for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
+    return level_set(carve(inputs, o, progress).hull, {}, progress);
+}
+
+}  // namespace vdbcarve

@@ -1,0 +1,306 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "coherence_fit.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <random>
+#include <set>
+
+#include "statistics.h"
+
+namespace vdbcarve {
+namespace {
+
+double square(double x) { return x * x; }
+
+double huber_cost(double r, double limit) { return r <= 0 ? 0 : r < limit ? r * r : limit * (2 * r - limit); }
+double huber_weight(double r, double limit) { return r <= 0 ? 0 : r < limit ? 1 : limit / r; }
+
+Silhouettes::Extent extent_of(ImageView<uint8_t> m) {
+    Silhouettes::Extent e{1e9, 1e9, -1e9, -1e9, 0, 0};
+    double sum = 0, moment = 0;
+    for (int y = 0; y < m.height; ++y)
+        for (int x = 0; x < m.width; ++x)
+            if (kernel::is_object(m.at(x, y))) {
+                e.x0 = std::min<double>(e.x0, x), e.x1 = std::max<double>(e.x1, x + 1);
+                e.y0 = std::min<double>(e.y0, y), e.y1 = std::max<double>(e.y1, y + 1);
+                sum += 1, moment += x + 0.5;
+            }
+    if (sum > 0) e.cx = moment / sum, e.cy = 0.5 * (e.y0 + e.y1);
+    return e;
+}
+
+/// `count` of the points, without repetition.
+std::vector<ContourPoint> drawn(std::vector<ContourPoint> all, size_t count, uint64_t seed) {
+    std::mt19937_64 random(seed);
+    const size_t kept = std::min(count, all.size());
+    for (size_t k = 0; k < kept; ++k) std::swap(all[k], all[k + random() % (all.size() - k)]);
+    all.resize(kept);
+    return all;
+}
+
+double cost_of(const CoherenceFit& f, const CoherencePass& pass) {
+    double sum = 0;
+    for (size_t p = 0; p < f.touches.size(); ++p)
+        if (!std::isnan(f.touches[p].residual_px)) sum += huber_cost(f.touches[p].residual_px, pass.huber_px);
+    return sum / square(pass.sigma_px) + f.model.prior_cost();
+}
+
+/// A residual near the present state: the least over the line of sight of the largest of its supports, whose distances change with the free
+/// parameters.
+struct Row {
+    double residual_px = 0;
+    double reach = 0;               ///< along the line, within which the supports' tangents are believed
+    std::vector<double> values, slopes;
+    std::vector<int> parameters;
+    std::vector<double> by;         ///< supports x parameters
+
+    /// Distances of the supports after a step.
+    void values_after(const Eigen::VectorXd& step, std::vector<double>& out) const {
+        out = values;
+        for (size_t s = 0; s < values.size(); ++s)
+            for (size_t k = 0; k < parameters.size(); ++k) out[s] += by[s * parameters.size() + k] * step[parameters[k]];
+    }
+    double residual_after(const Minimax& held, const std::vector<double>& moved) const { return moved[held.first] + slopes[held.first] * held.t; }
+};
+
+std::vector<Row> rows_of(const CoherenceFit& f, const std::vector<CoherenceView>& views, const CoherencePass& pass) {
+    const std::vector<OrbitCamera> cameras = f.model.cameras();
+    const auto columns = f.model.columns();
+    std::vector<Row> rows(f.points.size());
+    tbb::parallel_for(tbb::blocked_range<size_t>(0, f.points.size(), 64), [&](const tbb::blocked_range<size_t>& range) {
+        for (size_t p = range.begin(); p != range.end(); ++p) {
+            Row& row = rows[p];
+            row.residual_px = f.touches[p].residual_px;
+            if (std::isnan(row.residual_px) || row.residual_px <= -pass.margin_px) continue;
+            const std::vector<Support> supports = supports_of(views, cameras, f.points[p], f.touches[p], pass.support_px, 8);
+            const auto add = [&](size_t support, const double* by_camera, size_t camera) {
+                for (const CameraColumn& column : columns[camera]) {
+                    double sum = 0;
+                    for (int d = 0; d < kCameraDirections; ++d) sum += by_camera[d] * column.direction[static_cast<size_t>(d)];
+                    const auto at = static_cast<size_t>(std::find(row.parameters.begin(), row.parameters.end(), column.parameter) - row.parameters.begin());
+                    row.by[support * row.parameters.size() + at] += sum;
+                }
+            };
+            std::set<int> which;
+            for (const CameraColumn& column : columns[static_cast<size_t>(f.points[p].view)]) which.insert(column.parameter);
+            for (const Support& s : supports)
+                for (const CameraColumn& column : columns[static_cast<size_t>(s.view)]) which.insert(column.parameter);
+            row.parameters.assign(which.begin(), which.end());
+            row.by.assign(supports.size() * which.size(), 0);
+            double steepest = 0;
+            for (size_t s = 0; s < supports.size(); ++s) {
+                row.values.push_back(supports[s].distance_px);
+                row.slopes.push_back(supports[s].slope);
+                steepest = std::max(steepest, std::fabs(supports[s].slope));
+                add(s, supports[s].by_own, static_cast<size_t>(f.points[p].view));
+                add(s, supports[s].by_view, static_cast<size_t>(supports[s].view));
+            }
+            row.reach = steepest > 0 ? 2 * pass.support_px / steepest : 0;
+        }
+    });
+    return rows;
+}
+
+/// Cost where supports change as their derivatives say and parameters are those of `moved`.
+double predicted_cost(const std::vector<Row>& rows, const Eigen::VectorXd& step, const OrbitModel& moved, const CoherencePass& pass) {
+    double sum = 0;
+    std::vector<double> values;
+    for (const Row& row : rows) {
+        if (row.values.empty()) continue;
+        row.values_after(step, values);
+        sum += huber_cost(row.residual_after(minimax(values.data(), row.slopes.data(), values.size(), row.reach), values), pass.huber_px);
+    }
+    return sum / square(pass.sigma_px) + moved.prior_cost();
+}
+
+OrbitModel stepped(const OrbitModel& model, const std::vector<size_t>& free, const Eigen::VectorXd& step) {
+    OrbitModel out = model;
+    for (size_t c = 0; c < free.size(); ++c) out.at(free[c]).value += step[static_cast<Eigen::Index>(c)];
+    return out;
+}
+
+/// Minimum of the cost as rows predict it, damped: Newton's method on which supports hold each residual, and on which residuals count. (Taking the
+/// ones of the present state for granted makes steps too long: they are then rejected, and the optimisation creeps.)
+Eigen::VectorXd step_of(const std::vector<Row>& rows, const OrbitModel& model, const std::vector<size_t>& free, const CoherencePass& pass, double damping) {
+    const auto size = static_cast<Eigen::Index>(free.size());
+    const double weight = 1 / square(pass.sigma_px);
+    Eigen::VectorXd x = Eigen::VectorXd::Zero(size), best = x, diagonal;
+    double least = std::numeric_limits<double>::infinity();
+    std::vector<double> values, line;
+    for (int turn = 0; turn < pass.turns; ++turn) {
+        Eigen::MatrixXd a = Eigen::MatrixXd::Zero(size, size);
+        Eigen::VectorXd b = Eigen::VectorXd::Zero(size);
+        double cost = 0;
+        for (const Row& row : rows) {
+            if (row.values.empty()) continue;
+            row.values_after(x, values);
+            const Minimax held = minimax(values.data(), row.slopes.data(), values.size(), row.reach);
+            const double r = row.residual_after(held, values);
+            cost += huber_cost(r, pass.huber_px) * weight;
+            const double w = huber_weight(r, pass.huber_px) * weight;
+            if (w == 0) continue;
+            const size_t n = row.parameters.size();
+            line.resize(n);
+            for (size_t k = 0; k < n; ++k) line[k] = held.share * row.by[held.first * n + k] + (1 - held.share) * row.by[held.second * n + k];
+            double start = r;  // of the row at x = 0
+            for (size_t k = 0; k < n; ++k) start -= line[k] * x[row.parameters[k]];
+            for (size_t k = 0; k < n; ++k) {
+                const double wk = w * line[k];
+                if (wk == 0) continue;
+                for (size_t l = 0; l <= k; ++l) a(row.parameters[k], row.parameters[l]) += wk * line[l];  // parameters ascend
+                b[row.parameters[k]] -= wk * start;
+            }
+        }
+        for (Eigen::Index c = 0; c < size; ++c) {
+            const Parameter& q = model.at(free[static_cast<size_t>(c)]);
+            a(c, c) += 1 / square(q.sigma);
+            b[c] -= (q.value - q.mean) / square(q.sigma);
+        }
+        if (turn == 0) diagonal = a.diagonal();
+        const OrbitModel moved = stepped(model, free, x);
+        cost += moved.prior_cost() + damping * x.cwiseAbs2().dot(diagonal);
+        if (cost < least) least = cost, best = x;
+        else if (turn > 2) break;
+        a.diagonal() += damping * diagonal;
+        const Eigen::VectorXd next = a.selfadjointView<Eigen::Lower>().llt().solve(b);
+        if (pass.turns == 1) return next;
+        const bool settled = (next - x).norm() < 0.01 * next.norm();
+        x = turn < 2 ? next : (0.5 * (x + next)).eval();
+        if (settled) return x;
+    }
+    return best;
+}
+
+}  // namespace
+
+double CoherenceFit::rms_px() const {
+    double sum = 0;
+    size_t n = 0;
+    for (const Touch& t : touches)
+        if (!std::isnan(t.residual_px)) sum += square(std::max(0.0, t.residual_px)), ++n;
+    return n ? std::sqrt(sum / static_cast<double>(n)) : 0;
+}
+
+Silhouettes::Silhouettes(const std::vector<MaskView>& masks) : masks_(masks), extents_(masks.size()), bad_(masks.size(), false), views_(masks.size()) {
+    std::vector<double> sizes;
+    for (size_t i = 0; i < masks.size(); ++i) {
+        if (masks[i].coverage.empty()) continue;
+        views_[i].width_px = masks[i].coverage.width;
+        views_[i].height_px = masks[i].coverage.height;
+        extents_[i] = extent_of(masks[i].coverage);
+        if (extents_[i].size() <= 0) continue;
+        seen_.push_back(i);
+        sizes.push_back(extents_[i].size());
+        find_open_sides(masks[i], views_[i]);
+    }
+    size_px_ = median(sizes);
+}
+
+bool Silhouettes::cut(size_t i) const { return std::any_of(std::begin(views_[i].open), std::end(views_[i].open), [](bool side) { return side; }); }
+
+const std::vector<DistanceField>& Silhouettes::fields(int scale) {
+    auto& out = fields_[scale];
+    if (out.empty()) {
+        DistanceOptions d;
+        d.scale = scale;
+        // Coarse fields reach far enough that a camera half an object off is still led back; fine ones are asked about details.
+        d.reach_samples = size_px_ / scale < 160 ? 96 : 64;
+        Progress quiet;
+        out = distance_fields(masks_, d, quiet);
+    }
+    return out;
+}
+
+const std::vector<CoherenceView>& Silhouettes::at_scale(int scale) {
+    const auto& all = fields(scale);
+    for (size_t i = 0; i < count(); ++i) views_[i].field = masks_[i].coverage.empty() || bad_[i] ? nullptr : &all[i];
+    return views_;
+}
+
+std::vector<ContourPoint> Silhouettes::contour(int scale, size_t count, uint64_t seed, int sectors) {
+    auto& contours = contours_[scale];
+    if (contours.empty()) {
+        const auto& all = fields(scale);
+        contours.resize(masks_.size());
+        tbb::parallel_for(size_t{0}, seen_.size(), [&](size_t s) {
+            CoherenceView view = views_[seen_[s]];
+            view.field = &all[seen_[s]];
+            contours[seen_[s]] = contour_of(view, static_cast<int>(seen_[s]));
+        });
+    }
+    std::vector<ContourPoint> out;
+    for (size_t i : seen_) {
+        std::vector<ContourPoint> some = drawn(contours[i], sectors ? 2 * count : count, seed * 0x9e3779b97f4a7c15ULL + i);
+        if (sectors)
+            std::erase_if(some, [&](const ContourPoint& p) {
+                const double angle = std::atan2(p.y_px - extents_[i].cy, p.x_px - extents_[i].cx) + std::numbers::pi;
+                return (static_cast<int>(angle * (6 / std::numbers::pi)) & 1) != (sectors - 1);
+            });
+        out.insert(out.end(), some.begin(), some.end());
+    }
+    return out;
+}
+
+double ball_radius(const Silhouettes& silhouettes, const OrbitModel& m) {
+    std::vector<double> radii;
+    for (size_t i : silhouettes.seen()) {
+        const OrbitCamera c = m.camera(i);
+        const double distance = c.centre.norm();
+        const Vec3d to_origin = -c.camera_from_world * c.centre / distance;
+        const Silhouettes::Extent& e = silhouettes.extent(i);
+        double farthest = 0;
+        for (const auto& [x, y] : {std::pair{e.x0, e.y0}, {e.x1, e.y0}, {e.x0, e.y1}, {e.x1, e.y1}}) {
+            const Vec3d sight = Vec3d((x - c.cx) / c.fx, (y - c.cy) / (c.fx * c.aspect), 1).normalized();
+            farthest = std::max(farthest, std::acos(std::clamp(sight.dot(to_origin), -1.0, 1.0)));
+        }
+        radii.push_back(distance * std::sin(std::min(farthest, 1.2)));
+    }
+    return std::min(0.9, 1.1 * percentile(radii, 0.9));
+}
+
+std::vector<Touch> touches_of(Silhouettes& silhouettes, const OrbitModel& model, const std::vector<ContourPoint>& points, const CoherencePass& pass) {
+    return find_touches(silhouettes.at_scale(pass.scale), model.cameras(), points, {ball_radius(silhouettes, model), pass.margin_px, pass.resolution_px}, {});
+}
+
+void refine(CoherenceFit& f, Silhouettes& silhouettes, const CoherencePass& pass, Progress& progress) {
+    const std::vector<CoherenceView>& views = silhouettes.at_scale(pass.scale);
+    f.ball_radius = ball_radius(silhouettes, f.model);
+    const SearchOptions search{f.ball_radius, pass.margin_px, pass.resolution_px};
+    f.touches = find_touches(views, f.model.cameras(), f.points, search, {});
+    f.cost = cost_of(f, pass);
+    const std::vector<size_t> free = f.model.free();
+    double damping = 1e-3;
+    for (int iteration = 0; iteration < pass.iterations; ++iteration) {
+        progress.check();
+        const std::vector<Row> rows = rows_of(f, views, pass);
+        double gain = 0, grow = 4;
+        for (int trial = 0; trial < 6; ++trial, grow *= 2) {
+            const Eigen::VectorXd step = step_of(rows, f.model, free, pass, damping);
+            CoherenceFit next = f;
+            next.model = stepped(f.model, free, step);
+            next.touches = find_touches(views, next.model.cameras(), f.points, search, f.touches);
+            next.cost = cost_of(next, pass);
+            if (next.cost >= f.cost) {
+                damping *= grow;
+                continue;
+            }
+            // Nielsen's rule: how well the step was predicted says how far the next may go.
+            const double predicted = f.cost - predicted_cost(rows, step, next.model, pass);
+            const double quality = (f.cost - next.cost) / std::max(predicted, 1e-12);
+            damping = std::max(1e-7, damping * std::clamp(1 - std::pow(2 * quality - 1, 3), 0.1, 4.0));
+            gain = (f.cost - next.cost) / f.cost;
+            f = std::move(next);
+            break;
+        }
+        if (gain < pass.least_gain || (iteration >= 3 && f.rms_px() > pass.give_up_px)) break;
+    }
+}
+
+}  // namespace vdbcarve
