@@ -15,20 +15,10 @@
 #include "statistics.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
+#include "vdbcarve/evaluate.h"
 #include "vdbcarve/export.h"
 
 namespace vdbcarve {
-
-const char* name_of(Orbit orbit) {
-    switch (orbit) {
-        case Orbit::Auto: return "auto";
-        case Orbit::Turntable: return "turntable";
-        case Orbit::FixedCamera: return "fixed-camera";
-        case Orbit::HandHeld: return "hand-held";
-    }
-    return "";
-}
-const char* name_of(Turn turn) { return turn == Turn::Auto ? "auto" : turn == Turn::Clockwise ? "cw" : "ccw"; }
 
 namespace {
 
@@ -45,13 +35,6 @@ std::string text_of(const char* format, ...) {
     va_end(arguments);
     return text;
 }
-
-/// What a photographer did, as far as it is told: one group of views is one ring of one sitting.
-struct Shoot {
-    std::vector<int> ring_of, sitting_of_ring;
-    std::vector<double> turned_rad;  ///< by how much the object has turned since the ring's first view; of its start
-    std::vector<double> passed;      ///< share of the ring, 0..1
-};
 
 /// A way to explain the views, and how well it does.
 struct Candidate {
@@ -75,18 +58,18 @@ class RingAligner {
 
     CoherencePass coarse() const {
         const int scale = scale_for(110);
-        return {scale, 40, std::max(6.0, silhouettes_.size_px() / 30), 10, 2.0, 1e-2, 0, 2.0 * scale, 2.0 * scale, 1};
+        return {scale, 40, std::max(6.0, silhouettes_.size_px() / 30), 20, 2.0, 3e-3, 0, 2.0 * scale, 2.0 * scale, 1};
     }
     CoherencePass middle() const {
         const int scale = scale_for(250);
-        return {scale, 80, std::max(3.0, silhouettes_.size_px() / 100), 12, 1.0, 1e-2, 0.5 * scale, 1.0 * scale, 1.5 * scale, 8};
+        return {scale, 80, std::max(3.0, silhouettes_.size_px() / 100), 25, 1.0, 1e-3, 0.5 * scale, 1.0 * scale, 1.5 * scale, 8};
     }
     /// Weighs residuals by what they turned out to be.
     CoherencePass fine(double rms_px) const {
         return {scale_for(700), static_cast<size_t>(o_.points), std::max(1.0, 2 * rms_px), 25, std::clamp(1.5 * rms_px, 0.1, 3.0), 1e-3, 0.5, 0.75, 1.0, 8};
     }
     /// A coarse pass that ends below this has found its way.
-    double good_coarse_px() const { return 0.15 * coarse().scale + 0.5 * mask_noise_px_; }
+    double good_coarse_px() const { return 0.15 * coarse().scale + mask_noise_px_; }
     double mask_noise_px() const { return mask_noise_px_; }
 
     // ------------------------------------------------------------------------------------- models
@@ -189,6 +172,29 @@ class RingAligner {
         return out;
     }
 
+    /// The views' own cameras, in a world where the object is near the origin and cameras at distance 1; what they may be wrong by.
+    OrbitModel given_cameras(const Similarity& world_from_given) const {
+        std::vector<OrbitView> views = nominal(Turn::Clockwise, 360);
+        const std::vector<Camera> cameras = given_.cameras();
+        for (size_t i = 0; i < n_; ++i) {
+            Rigid3 pose = cameras[i].camera_from_world;
+            pose.translation = world_from_given.scale * (cameras[i].camera_from_world * (-world_from_given.translation / world_from_given.scale));
+            views[i].camera_from_world = pose;
+        }
+        OrbitModel m(std::move(views), 1);
+        const size_t first = silhouettes_.seen().front();
+        const double diagonal = std::hypot(m.view(first).width_px, m.view(first).height_px);
+        m.global(OrbitModel::LnFocal).release(0, 0.1);
+        for (const auto which : {OrbitModel::CentreX, OrbitModel::CentreY})
+            if (!o_.principal_point_px) m.global(which).release(0, 0.005 * diagonal);
+        for (size_t i : silhouettes_.seen()) {
+            for (const auto part : {OrbitModel::Pan, OrbitModel::Tilt, OrbitModel::Roll}) m.of(i, part).release(0, 3 * kRadians);
+            for (const auto part : {OrbitModel::Azimuth, OrbitModel::LnDistance, OrbitModel::Height}) m.of(i, part).release(0, 0.05);
+            if (o_.focal_varies) m.of(i, OrbitModel::ViewLnFocal).release(0, 0.015);
+        }
+        return m;
+    }
+
     // ------------------------------------------------------------------------------------- search
 
     /// Where to start from, the likeliest first; what comes later is tried where these lead nowhere.
@@ -226,11 +232,19 @@ class RingAligner {
         return std::min_element(best.begin(), best.end(), [](const auto& a, const auto& b) { return a.second.rms_px() < b.second.rms_px(); })->second;
     }
 
-    /// Tries a range of starts in each direction, until one has clearly found its way. Adds to `best`.
-    void search(Orbit orbit, const std::vector<Start>& from, Best& best) {
+    /// Tries a range of starts in each direction until one has clearly found its way, then in that direction until two have found the same.
+    /// Returns how many did.
+    int search(Orbit orbit, const std::vector<Start>& from, Best& best) {
+        std::vector<std::pair<Turn, double>> found;
+        const auto agreeing = [&] {
+            const Candidate& c = lead(best);
+            return static_cast<int>(std::count_if(found.begin(), found.end(), [&](const auto& f) { return f.first == c.turn && f.second < 1.2 * c.rms_px() + 0.01 * coarse().scale; }));
+        };
         for (const Start& s : from) {
-            if (settled(best, good_coarse_px())) return;
+            const bool decided = settled(best, good_coarse_px());
+            if (decided && agreeing() >= 2) break;
             for (Turn turn : turns()) {
+                if (decided && turn != lead(best).turn) continue;
                 Candidate c{{}, orbit, turn};
                 c.fit.model = start(orbit, turn, s);
                 CoherencePass pass = coarse();
@@ -238,10 +252,12 @@ class RingAligner {
                 fit(c, pass, 1);
                 trace("%s %s arc %.0f f x%.2f e %.0f%s: %.3f px, f x%.3f", name_of(orbit), name_of(turn), s.arc_deg, std::exp(s.ln_focal), s.elevation_rad / kRadians, s.uneven ? " uneven" : "", c.rms_px(),
                       std::exp(c.fit.model.global(OrbitModel::LnFocal).value));
+                found.emplace_back(turn, c.rms_px());
                 const auto known = best.find(turn);
                 if (known == best.end() || c.rms_px() < known->second.rms_px()) best[turn] = std::move(c);
             }
         }
+        return agreeing();
     }
 
     void polish(Candidate& c) {
@@ -287,23 +303,26 @@ class RingAligner {
         return rest.rms_px();
     }
 
+    /// How many starts led to the same cameras.
+    int agreeing() const { return agreeing_; }
+
     /// The best explanation in each direction; the rungs that were tried.
     Best run(std::vector<AlignRung>& rungs) {
         const std::vector<Start> all = starts();
         Best table, hand;
         const bool any = o_.orbit == Orbit::Auto;
-        if (any || o_.orbit != Orbit::HandHeld) search(Orbit::Turntable, {all.front()}, table);
+        if (any || o_.orbit != Orbit::HandHeld) agreeing_ = search(Orbit::Turntable, {all.front()}, table);
         if (any || o_.orbit == Orbit::HandHeld) {
             if (any && settled(table, good_coarse_px())) {
                 Candidate up = climbed(lead(table), Orbit::HandHeld);
                 fit(up, coarse(), 1);
                 hand[up.turn] = std::move(up);
             } else {
-                search(Orbit::HandHeld, all, hand);
+                agreeing_ = search(Orbit::HandHeld, all, hand);
             }
         }
         progress_.step(3);
-        if (!table.empty() && !settled(table, good_coarse_px()) && (hand.empty() || !settled(hand, good_coarse_px()))) search(Orbit::Turntable, {all.begin() + 1, all.end()}, table);
+        if (!table.empty() && !settled(table, good_coarse_px()) && (hand.empty() || !settled(hand, good_coarse_px()))) agreeing_ = search(Orbit::Turntable, {all.begin() + 1, all.end()}, table);
         progress_.step(1);
 
         // The rungs, each from the one below or from its own search, whichever is better.
@@ -409,6 +428,7 @@ class RingAligner {
     Silhouettes silhouettes_;
     size_t n_;
     double mask_noise_px_ = 0;
+    int agreeing_ = 0;
 };
 
 void check_options(const AlignOptions& o, size_t views, size_t masks) {
@@ -430,6 +450,7 @@ void check_options(const AlignOptions& o, size_t views, size_t masks) {
     need(o.fov_deg >= 0 && o.fov_deg < 170, text_of("--fov: %g degrees, must be within 0..170", o.fov_deg));
     need(o.points >= 10 && o.points <= 5000, text_of("align: %d contour points a view, must be 10..5000", o.points));
     need(o.restarts >= 0 && o.restarts <= 20, text_of("--restarts: %d, must be 0..20", o.restarts));
+    need(o.method == AlignMethod::Coherence || (o.orbit == Orbit::Auto && o.direction == Turn::Auto && o.angles_deg.empty()), "--method refine starts from cameras: --orbit, --direction and --angles are of --method coherence");
     need(o.known_distance >= 0 && o.known_height >= 0 && (o.known_distance == 0 || o.known_height == 0), "give one of --known-distance and --known-height, > 0");
     if (!wrong.empty()) throw UsageError(wrong);
 }
@@ -521,13 +542,39 @@ Views with_cameras(const Views& given, const OrbitModel& model) {
     return out;
 }
 
+/// Brings the point that cameras look at to the origin, and their median distance to 1.
+Similarity normalising(const std::vector<Camera>& cameras) {
+    const auto target = look_at_point(cameras);
+    if (!target) throw UndeterminedError("align: the given cameras look along one line: they are no start. Remedy: --cameras none");
+    std::vector<double> distances;
+    for (const Camera& c : cameras) distances.push_back((c.centre_world() - *target).norm());
+    Similarity out;
+    out.scale = 1 / median(distances);
+    out.translation = -out.scale * *target;
+    return out;
+}
+
 AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
     RingAligner aligner(given, masks, o, progress);
     Silhouettes& silhouettes = aligner.silhouettes();
     aligner.trace("begin");
     progress.begin("align", 12);
     AlignResult out;
-    RingAligner::Best best = aligner.run(out.rungs);
+    RingAligner::Best best;
+    Similarity world_from_given;  // of Refine
+    if (o.method == AlignMethod::Refine) {
+        world_from_given = normalising(given.cameras());
+        Candidate near;
+        near.fit.model = aligner.given_cameras(world_from_given);
+        out.rungs.push_back({near.orbit, near.turn, 0, 0, static_cast<int>(near.fit.model.free().size())});
+        aligner.fit(near, aligner.coarse(), 1);
+        aligner.polish(near);
+        out.rungs.back().rms_px = near.rms_px();
+        best[near.turn] = std::move(near);
+        progress.step(8);
+    } else {
+        best = aligner.run(out.rungs);
+    }
     Candidate c = RingAligner::lead(best);
     Judge judge(aligner, given, o, progress);
     out.mask_noise_px = aligner.mask_noise_px();
@@ -561,17 +608,29 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     std::vector<double> spread_squares(silhouettes.seen().size(), 0);
     double focal_squares = 0;
     int used = 0;
+    std::optional<Candidate> better;
     for (int r = 0; r < o.restarts; ++r) {
         Candidate x = home;
         for (size_t i : silhouettes.seen()) x.fit.model.of(i, OrbitModel::Azimuth).value += 2.5 * kRadians * normal(random);
         x.fit.model.global(OrbitModel::LnFocal).value += 0.05 * normal(random);
         refine(x.fit, silhouettes, quick, progress);
         aligner.trace("restart: %.4f px, at home %.4f, f %.1f", x.rms_px(), home.rms_px(), x.fit.model.focal_px(0));
+        if (x.rms_px() < 0.8 * home.rms_px() - 0.01) {
+            // It found a better place than it came from.
+            better = x;
+        }
         if (x.rms_px() > 2 * home.rms_px() + 0.1) continue;  // it did not come home: no evidence of freedom
         ++used;
         const std::vector<double> a = azimuths(x);
         for (size_t k = 0; k < a.size(); ++k) spread_squares[k] += a[k] * a[k];
         focal_squares += square(x.fit.model.global(OrbitModel::LnFocal).value - home.fit.model.global(OrbitModel::LnFocal).value);
+    }
+    if (better && c.orbit != Orbit::Turntable) {
+        aligner.polish(*better);
+        if (better->rms_px() < c.rms_px()) {
+            c = *better;
+            out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
+        }
     }
     if (used > 0) {
         double sum = 0;
@@ -607,8 +666,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     aligner.trace("judged");
     // Residuals before: of the start that the photographer's word gives.
     {
-        const RingAligner::Start from = aligner.starts().front();
-        const OrbitModel first = aligner.start(c.orbit, c.turn, from);
+        const OrbitModel first = o.method == AlignMethod::Refine ? aligner.given_cameras(world_from_given) : aligner.start(c.orbit, c.turn, aligner.starts().front());
         const std::vector<AlignedView> before = judge.views_of(first, aligner.coarse());
         for (size_t i = 0; i < before.size(); ++i) out.aligned[i].residual_before_px = before[i].residual_px;
         out.focal_start_px = first.focal_px(silhouettes.seen().front());
@@ -631,12 +689,23 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     out.principal_y_px = m.camera(first).cy;
     for (const auto& [turn, other] : best)
         if (turn != c.turn) out.other_direction_px = other.rms_px();
+    out.method = o.method;
     out.views = with_cameras(given, m);
+    if (o.method == AlignMethod::Refine) {
+        out.views.up = given.up;
+        out.views.units = given.units;
+        for (View& v : out.views.views) {
+            Rigid3& pose = v.camera.camera_from_world;
+            // Back to where they came from: x = (x' - translation) / scale.
+            pose.translation = (pose.translation + pose.rotation * world_from_given.translation) / world_from_given.scale;
+        }
+    }
     for (const Touch& t : c.fit.touches) {
         const auto p = static_cast<size_t>(&t - c.fit.touches.data());
         if (std::isnan(t.residual_px) || t.residual_px > 1) continue;
         const Vec3d x = touch_position(m.camera(static_cast<size_t>(c.fit.points[p].view)), c.fit.points[p], t.depth);
-        out.touches_world.push_back({static_cast<float>(x.x()), static_cast<float>(x.y()), static_cast<float>(x.z())});
+        const Vec3d back = (x - world_from_given.translation) / world_from_given.scale;
+        out.touches_world.push_back({static_cast<float>(back.x()), static_cast<float>(back.y()), static_cast<float>(back.z())});
     }
 
     aligner.trace("before");
@@ -652,7 +721,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
         if (silhouettes.bad(i) && bad++ < 6) names += (names.empty() ? "" : ", ") + given.views[i].name;
     if (bad) out.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s%s. Remedy: look at their masks", bad, names.c_str(), bad > 6 ? " …" : ""));
     if (bad >= silhouettes.seen().size() / 4 && bad > 1) out.failures.push_back("a quarter of the silhouettes contradicts the others: which ones are wrong cannot be told");
-    const bool mirrored_alike = o.direction == Turn::Auto && out.other_direction_px < 3 * out.rms_px + 0.1;
+    const bool mirrored_alike = o.method == AlignMethod::Coherence && o.direction == Turn::Auto && out.other_direction_px < 3 * out.rms_px + 0.1;
     if (!out.angles_observable)
         out.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "
                                        "Remedy: texture with --method refine, or a marker mat",
@@ -665,7 +734,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
                 for (size_t i = 0; i < given.views.size(); ++i) out.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
     }
     const double ln_focal = m.global(OrbitModel::LnFocal).value;
-    if (std::fabs(ln_focal) > 2.5 * aligner.focal_sigma())
+    if (std::fabs(ln_focal) > 1.5)
         out.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out.focal_px, out.focal_start_px));
     else if (out.focal_spread > 0.05)
         out.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out.focal_spread));
@@ -678,9 +747,10 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
     double scale = 1;
     const std::vector<Camera> cameras = r.views.cameras();
     if (o.known_distance > 0) {
+        const Vec3d middle = look_at_point(cameras).value_or(Vec3d::Zero());
         std::vector<double> distances;
         for (size_t i = 0; i < cameras.size(); ++i)
-            if (!masks[i].coverage.empty()) distances.push_back(cameras[i].centre_world().norm());
+            if (!masks[i].coverage.empty()) distances.push_back((cameras[i].centre_world() - middle).norm());
         scale = o.known_distance / median(distances);
     } else if (o.known_height > 0) {
         std::vector<std::string> names;
@@ -691,11 +761,11 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
         }
         Progress quiet;
         const openvdb::FloatGrid::Ptr hull = coarse_hull(names, cameras, trusted, 256, 0.6, quiet);
-        const SeenExtent seen = seen_extent(*hull, cameras, trusted, Vec3d::UnitZ());
+        const SeenExtent seen = seen_extent(*hull, cameras, trusted, up_direction(r.views.up, cameras));
         if (!seen.top_seen || !seen.bottom_seen) throw UndeterminedError("--known-height: every silhouette is cut by its frame above or below, so how high the object is was not seen. Remedy: --known-distance");
         scale = o.known_height / (seen.highest - seen.lowest);
     } else {
-        r.views.units.clear();
+        if (r.method == AlignMethod::Coherence) r.views.units.clear();
         return;
     }
     r.views.units = o.units;

@@ -71,6 +71,11 @@ Vec3d orbit_axis(const std::vector<Camera>& cameras) {
     return axis;
 }
 
+Vec3d up_direction(const std::string& up, const std::vector<Camera>& cameras) {
+    if (up.empty()) return orbit_axis(cameras);
+    return (up.front() == '-' ? -1.0 : 1.0) * Vec3d::Unit(up.back() - 'x');
+}
+
 SeenExtent seen_extent(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const Vec3d& axis) {
     double radius = 0;
     const Vec3d middle = middle_of(surface, radius);

@@ -12,7 +12,9 @@ namespace vdbcarve {
 namespace {
 
 /// Gauss-Newton on the seven parameters of a similarity: the estimate's cameras, moved by it, see the points where the true ones do.
-double reprojection_rms(const std::vector<Camera>& estimate, const std::vector<Camera>& truth, const std::vector<Vec3d>& points, Similarity estimate_from_truth) {
+double reprojection_rms(const std::vector<Camera>& estimate, const std::vector<Camera>& truth, const std::vector<Vec3d>& points, Similarity& truth_from_estimate) {
+    const auto inverse = [](const Similarity& s) { return Similarity{1 / s.scale, s.rotation.transpose(), -(s.rotation.transpose() * s.translation) / s.scale}; };
+    Similarity estimate_from_truth = inverse(truth_from_estimate);
     double rms = 0;
     for (int iteration = 0; iteration < 8; ++iteration) {
         Eigen::Matrix<double, 7, 7> a = Eigen::Matrix<double, 7, 7>::Zero();
@@ -49,6 +51,7 @@ double reprojection_rms(const std::vector<Camera>& estimate, const std::vector<C
         estimate_from_truth.scale *= std::exp(step[6]);
         if (step.norm() < 1e-10) break;
     }
+    truth_from_estimate = inverse(estimate_from_truth);
     return rms;
 }
 
@@ -96,8 +99,7 @@ CameraErrors compare_cameras(const std::vector<Camera>& estimate, const std::vec
     out.centre_median = median(out.centre);
     out.centre_max = *std::max_element(out.centre.begin(), out.centre.end());
     out.focal_ratio = median(focal);
-    if (!points_truth.empty())
-        out.reprojection_rms_px = reprojection_rms(estimate, truth, points_truth, {1 / s.scale, s.rotation.transpose(), -(s.rotation.transpose() * s.translation) / s.scale});
+    if (!points_truth.empty()) out.reprojection_rms_px = reprojection_rms(estimate, truth, points_truth, s);
     return out;
 }
 

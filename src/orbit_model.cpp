@@ -41,17 +41,28 @@ double OrbitModel::focal_px(size_t i) const { return views_[i].focal_px * std::e
 OrbitCamera OrbitModel::camera(size_t i) const {
     const OrbitView& v = views_[i];
     const auto r = static_cast<size_t>(v.ring);
+    const Eigen::AngleAxisd tilt(of(i, Tilt).value + ring(r, RingTilt).value, Vec3d::UnitX());
+    const Eigen::AngleAxisd roll(of(i, Roll).value + ring(r, RingRoll).value, Vec3d::UnitZ());
+    const Eigen::AngleAxisd pan(of(i, Pan).value + ring(r, RingPan).value, Vec3d::UnitY());
+    OrbitCamera out;
+    out.fx = focal_px(i);
+    out.aspect = v.aspect;
+    out.cx = v.cx + global(CentreX).value + of(i, ViewCentreX).value;
+    out.cy = v.cy + global(CentreY).value + of(i, ViewCentreY).value;
+    if (v.camera_from_world) {
+        const Mat3d& from = v.camera_from_world->rotation;
+        const Vec3d centre = v.camera_from_world->inverse().translation;
+        out.centre = centre + centre.norm() * (from.transpose() * Vec3d(of(i, Azimuth).value, -of(i, Height).value, -of(i, LnDistance).value));
+        out.camera_from_world = (roll * tilt * pan).toRotationMatrix() * from;
+        return out;
+    }
     const double p = azimuth(i), e = ring(r, Elevation).value, d = std::exp(ring(r, RingDistance).value + of(i, LnDistance).value);
     const double sp = std::sin(p), cp = std::cos(p), se = std::sin(e), ce = std::cos(e);
-    OrbitCamera out;
     out.centre = {d * ce * cp, d * ce * sp, d * se + ring(r, RingHeight).value + of(i, Height).value};
     Mat3d look;
     look.row(0) = Vec3d(-sp, cp, 0);                    // to the right
     look.row(1) = Vec3d(se * cp, se * sp, -ce);         // down
     look.row(2) = Vec3d(-ce * cp, -ce * sp, -se);       // forwards, to the axis
-    const Eigen::AngleAxisd roll(of(i, Roll).value + ring(r, RingRoll).value, Vec3d::UnitZ());
-    const Eigen::AngleAxisd tilt(of(i, Tilt).value + ring(r, RingTilt).value, Vec3d::UnitX());
-    const Eigen::AngleAxisd pan(of(i, Pan).value + ring(r, RingPan).value, Vec3d::UnitY());
     out.camera_from_world = (roll * tilt * pan).toRotationMatrix() * look;
     const Vec3d turn(ring(r, SittingTurn).value, ring(r, static_cast<RingPart>(SittingTurn + 1)).value, ring(r, static_cast<RingPart>(SittingTurn + 2)).value);
     const Vec3d shift(ring(r, SittingShift).value, ring(r, static_cast<RingPart>(SittingShift + 1)).value, ring(r, static_cast<RingPart>(SittingShift + 2)).value);
@@ -61,10 +72,6 @@ OrbitCamera OrbitModel::camera(size_t i) const {
         out.camera_from_world = out.camera_from_world * scene_from_sitting.transpose();
         out.centre = scene_from_sitting * out.centre + shift;
     }
-    out.fx = focal_px(i);
-    out.aspect = v.aspect;
-    out.cx = v.cx + global(CentreX).value + of(i, ViewCentreX).value;
-    out.cy = v.cy + global(CentreY).value + of(i, ViewCentreY).value;
     return out;
 }
 

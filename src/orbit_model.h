@@ -12,6 +12,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -55,6 +56,7 @@ struct OrbitView {
     double aspect = 1;            ///< fy / fx
     double cx = 0, cy = 0;        ///< start of the principal point
     double azimuth_rad = 0;       ///< nominal, from the ring's first view
+    std::optional<Rigid3> camera_from_world;  ///< a pose that is near already: steps sideways, back, up and turns are counted from it
     double turn = 0;              ///< share of the ring passed, 0..1: where smooth changes of speed are counted
     int ring = 0;
 };

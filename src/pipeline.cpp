@@ -7,12 +7,15 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <map>
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "atomic_file.h"
 #include "carve_plan.h"
+#include "coarse_hull.h"
+#include "io_cameras.h"
 #include "io_image.h"
 #include "memory.h"
 #include "same_transform.h"
@@ -92,6 +95,11 @@ class Job {
         if (!o_.dry_run) open_output();
         stage("mask", [&] { return masks(); });
         if (o_.last_stage == LastStage::Mask) return finish();
+        if (!views_.posed || o_.align_again) stage("align", [&] { return align_views(); });
+        if (o_.last_stage == LastStage::Align) {
+            place_alignment();
+            return finish();
+        }
         plan_key();
         const bool have_hull = hull_is_there();
         stage("distance", [&] {
@@ -199,7 +207,15 @@ class Job {
     }
 
     void load() {
-        views_ = load_views(o_.views, progress_);
+        ViewsOptions wanted = o_.views;
+        wanted.allow_unposed = true;
+        views_ = load_views(wanted, progress_);
+        if (!views_.posed && o_.align.method == AlignMethod::Refine) throw UsageError("--method refine improves cameras, and " + o_.views.scene.string() + " has none. Remedy: --cameras FILE, or --method coherence");
+        if (!views_.posed && o_.dry_run) throw UsageError("--dry-run: the scene has no cameras; what is to be carved is known once they are found. Remedy: vdbcarve align first");
+        if (o_.align_again) {
+            // Cameras whose masks are undistorted must keep their lens; everything else is found anew.
+            if (o_.align.method == AlignMethod::Coherence && views_.sittings.size() > 1) throw UsageError("align: the cameras' sittings would be lost. Remedy: --method refine, or --cameras none");
+        }
         if (o_.flat_base && up().empty()) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
         if (o_.stl_mm) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(std::to_string(views_.views.size()) + " views from " + views_.camera_file.string() + " (" + views_.format + ")");
@@ -328,6 +344,122 @@ class Job {
         }
         write_file(folder / ".written_by_vdbcarve.json", written.dump(1) + "\n");
         for (const auto& [from, to] : copies) place_copy(from, to);
+    }
+
+    // --------------------------------------------------------------------------------------- align
+
+    bool align_views() {
+        const AlignOptions& a = o_.align;
+        Sha256 h;
+        h.add("align").add_value(kCodeVersion).add(mask_key_).add_value(a.method).add_value(a.orbit).add_value(a.direction);
+        for (double angle : a.angles_deg) h.add_value(angle);
+        h.add_value(a.arc_deg).add_value(a.arc_known).add_value(a.rings.size());
+        for (int r : a.rings) h.add_value(r);
+        h.add_value(a.sittings.size());
+        for (int s : a.sittings) h.add_value(s);
+        h.add_value(a.fov_deg).add_value(a.principal_point_px.has_value());
+        if (a.principal_point_px) h.add_value(a.principal_point_px->x()).add_value(a.principal_point_px->y());
+        h.add_value(a.focal_varies).add_value(a.centre_varies).add_value(a.known_distance).add_value(a.known_height).add(a.units).add_value(a.points).add_value(a.restarts).add_value(a.seed);
+        for (const Camera& c : views_.cameras()) add_camera(h, c);
+        align_key_ = h.hex();
+        const fs::path note_file = store_.path("align", align_key_, ".json"), cameras_file = store_.path("align", align_key_, ".cameras.json"), other_file = store_.path("align", align_key_, ".other.json"),
+                       svg_file = store_.path("align", align_key_, ".svg");
+        const auto note = stage_note(note_file, {"align", "warnings"});
+        const bool reused = note && fs::exists(cameras_file) && fs::exists(svg_file);
+        if (!reused) {
+            const size_t before = progress_.warnings().size();
+            std::vector<MaskView> masks(views_.views.size());
+            for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
+            const AlignResult found = align(views_, masks, a, progress_);
+            for (const std::string& w : found.warnings) progress_.warn(w);
+            write_file(cameras_file, cameras_json(found.views));
+            fs::remove(other_file);
+            if (!found.other_cameras.empty()) {
+                Views other = found.views;
+                for (size_t i = 0; i < other.views.size(); ++i) other.views[i].camera = found.other_cameras[i];
+                write_file(other_file, cameras_json(other));
+            }
+            write_file(svg_file, orbit_svg(found));
+            write_file(note_file, json{{"align", json::parse(alignment_json(found))}, {"warnings", warnings_since(before)}, {"up", found.views.up}, {"units", found.views.units}}.dump(1) + "\n");
+        } else {
+            warn_again(*note);
+        }
+        // Read back, also when just written: a run that goes on must see the bits that a run in one go saw.
+        const json written = reused ? *note : parse_or_empty(note_file);
+        report_["align"] = written["align"];
+        take_cameras(views_, cameras_file);
+        views_.posed = true;
+        views_.format = "align";
+        views_.up = o_.views.up.empty() ? written.value("up", "") : o_.views.up;
+        views_.units = o_.views.units.empty() ? written.value("units", "") : o_.views.units;
+        orbit_svg_ = svg_file;
+        say_alignment();
+        const json& failures = report_["align"]["failures"];
+        if (failures.empty()) return reused;
+        std::string why;
+        for (const json& f : failures) why += (why.empty() ? "" : "; ") + f.get<std::string>();
+        if (o_.accept_unobservable) {
+            progress_.warn("UNVERIFIED cameras are used (--accept-unobservable): " + why);
+            return reused;
+        }
+        if (!o_.dry_run) {
+            place_alignment(fs::exists(other_file) ? other_file : fs::path());
+            finish();
+        }
+        throw UndeterminedError(why + ". " + (o_.output / "preview.png").string() + " shows what the cameras found would make, UNVERIFIED; --accept-unobservable goes on with it");
+    }
+
+    /// Cameras and sittings from a file of ours about the same views.
+    static void take_cameras(Views& views, const fs::path& file) {
+        const io::Imported read = io::read_transforms(file);
+        views.sittings = read.sittings;
+        for (size_t i = 0; i < views.views.size(); ++i) {
+            views.views[i].camera = read.views.at(i).view.camera;
+            views.views[i].sitting = read.views[i].view.sitting;
+        }
+    }
+
+    void say_alignment() {
+        const json& a = report_["align"];
+        char text[400];
+        std::snprintf(text, sizeof text, "cameras found: %s, object turning %s; contours %.2f px (rms) outside the others' hull, %.1f %% within half a pixel; focal length %.0f px; %s units", a["orbit"].get<std::string>().c_str(),
+                      a["direction"].get<std::string>().c_str(), a["residual_rms_px"].get<double>(), 100 * a["coherent_share"].get<double>(), a["focal_px"].get<double>(), a["units"].get<std::string>().c_str());
+        progress_.note(text);
+    }
+
+    /// cameras.json, orbit.svg, and in preview.png the hull over the views that fit worst.
+    void place_alignment(const fs::path& other_cameras = {}) {
+        write_file(o_.output / "cameras.json", cameras_json(views_));
+        if (!orbit_svg_.empty()) place_copy(orbit_svg_, o_.output / "orbit.svg");
+        std::map<std::string, double> residual;
+        for (const json& v : report_["align"]["views"]) residual[v["name"]] = v["residual_px"];
+        std::vector<size_t> worst = used_;
+        std::stable_sort(worst.begin(), worst.end(), [&](size_t a, size_t b) { return residual[views_.views[a].name] > residual[views_.views[b].name]; });
+        worst.resize(std::min<size_t>(worst.size(), 12));
+        std::vector<std::string> names;
+        std::vector<MaskView> masks(views_.views.size());
+        for (const View& v : views_.views) names.push_back(v.name);
+        for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
+        const auto sheet = [&](const Views& views, const fs::path& file) {
+            try {
+                mesh_ = extract_mesh(*coarse_hull(names, views.cameras(), masks, 192, o_.min_seen, progress_), {}, progress_);
+            } catch (const ContradictionError& e) {
+                progress_.warn(std::string("no preview: ") + e.what());
+                return;
+            }
+            agreement_.assign(views.views.size(), {});
+            for (const size_t i : worst) agreement_[i] = compare_silhouettes(silhouette_of(mesh_, views.cameras()[i]), masks[i]);
+            preview(views, worst, file);
+        };
+        sheet(views_, o_.output / "preview.png");
+        if (!other_cameras.empty()) {
+            Views other = views_;
+            take_cameras(other, other_cameras);
+            const std::string turned = report_["align"]["direction"].get<std::string>(), opposite = turned == "cw" ? "ccw" : "cw";
+            sheet(other, o_.output / ("preview_direction_" + opposite + ".png"));
+            place_copy(o_.output / "preview.png", o_.output / ("preview_direction_" + turned + ".png"));
+            progress_.note("both ways are shown: preview_direction_cw.png is --direction cw, preview_direction_ccw.png is --direction ccw; the wrong one is a mirror image");
+        }
     }
 
     // --------------------------------------------------------------------------------------- carve
@@ -753,11 +885,7 @@ class Job {
     }
     /// Up as a direction; the axis of the orbit where it is not known.
     Vec3d up_direction() const {
-        const std::string name = up();
-        if (name.empty()) {
-            return orbit_axis(used_cameras());
-        }
-        return (name.front() == '-' ? -1.0 : 1.0) * Vec3d::Unit(name.back() - 'x');
+        return vdbcarve::up_direction(up(), used_cameras());
     }
 
     VdbMetadata metadata() const {
@@ -1271,6 +1399,7 @@ class Job {
             else write_mesh(o_.output / name, mesh_);
         }
         write_file(o_.output / "cameras.json", cameras_json(views_));
+        if (!orbit_svg_.empty()) place_copy(orbit_svg_, o_.output / "orbit.svg");
         agreement();
         preview();
     }
@@ -1317,13 +1446,20 @@ class Job {
         report_["silhouette_iou"] = {{"median", median_iou_}, {"minimum", minimum_iou_}};
     }
 
+    /// Views spread evenly.
     void preview() {
-        const size_t n = used_.size(), shown = std::min<size_t>(n, 12);
-        const std::vector<Camera> cameras = views_.cameras();
+        std::vector<size_t> which;
+        for (size_t n = used_.size(), shown = std::min<size_t>(n, 12), s = 0; s < shown; ++s) which.push_back(used_[s * n / shown]);
+        preview(views_, which, o_.output / "preview.png");
+    }
+
+    void preview(const Views& views, const std::vector<size_t>& which, const fs::path& file) {
+        const size_t shown = which.size();
+        const std::vector<Camera> cameras = views.cameras();
         std::vector<PreviewView> tiles(shown);
         tbb::parallel_for(size_t{0}, shown, [&](size_t s) {
-            const size_t i = used_[s * n / shown];
-            const View& v = views_.views[i];
+            const size_t i = which[s];
+            const View& v = views.views[i];
             tiles[s].name = v.name;
             tiles[s].camera = cameras[i];
             tiles[s].mask = masks_.masks[i].coverage;
@@ -1341,7 +1477,7 @@ class Job {
             tiles[s].photo = std::move(photo);
         });
         const auto png = io::encode_png(preview_sheet(mesh_, tiles));
-        write_file(o_.output / "preview.png", png.data(), png.size());
+        write_file(file, png.data(), png.size());
     }
 
     Reconstruction finish() {
@@ -1370,6 +1506,8 @@ class Job {
     Masks masks_;
     std::vector<std::string> mask_names_;
     std::vector<size_t> used_;  ///< indices of views with a mask
+    std::string align_key_;
+    fs::path orbit_svg_;        ///< of the cameras that were found
     std::vector<DistanceField> fields_;
     std::vector<MaskView> used_masks_;  ///< of inputs_
     DistanceOptions field_options_;

@@ -6,9 +6,12 @@
 #include <cctype>
 #include <cmath>
 #include <map>
+#include <optional>
 #include <set>
+#include <tuple>
 
 #include "io_cameras.h"
+#include "io_exif.h"
 #include "io_image.h"
 
 namespace vdbcarve {
@@ -80,12 +83,17 @@ std::vector<fs::path> files_ending(const fs::path& folder, const std::string& en
     return out;
 }
 
-Candidate find_camera_file(const ViewsOptions& options, Progress& progress) {
+/// None where there is no file and none is needed.
+std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress& progress) {
+    if (options.cameras == "none") {
+        if (!options.allow_unposed) throw UsageError("--cameras none: this needs cameras. Remedy: vdbcarve align SCENE -o OUT, then --cameras OUT/cameras.json");
+        return std::nullopt;
+    }
     if (!options.cameras.empty()) {
         const fs::path given = in_scene(options.cameras, options.scene);
         if (!fs::exists(given)) throw InputError(given.string() + ": camera file not found");
         for (const Importer* importer : kImporters)
-            if (importer->understands(given)) return {given, importer};
+            if (importer->understands(given)) return Candidate{given, importer};
         throw InputError(given.string() +
                          ": not a camera file that is understood (transforms.json, COLMAP folder, *_par.txt, "
                          "3x4 matrices as .pa or text)");
@@ -101,13 +109,14 @@ Candidate find_camera_file(const ViewsOptions& options, Progress& progress) {
         for (const Importer* importer : kImporters) {
             // A folder holding .pa files would answer for the scene itself before *_par.txt was asked.
             if (candidate == options.scene && importer != &kColmap) continue;
-            if (importer->understands(candidate)) return {candidate, importer};
+            if (importer->understands(candidate)) return Candidate{candidate, importer};
         }
         if (candidate != options.scene) progress.note(candidate.string() + " is not a camera file that is understood: skipped");
     }
+    if (options.allow_unposed) return std::nullopt;
     throw InputError(options.scene.string() +
                      ": no cameras found (looked for transforms.json, transforms_train.json, cameras.json, COLMAP in "
-                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa). Remedy: --cameras FILE");
+                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa). Remedy: --cameras FILE, or vdbcarve align to find them");
 }
 
 /// Finds image files by the names that camera files use.
@@ -157,9 +166,14 @@ class ImageFinder {
     fs::path images_, scene_, camera_folder_, subfolder_;
 };
 
-std::vector<std::string> photos_in(const ViewsOptions& options) {
-    fs::path folder = in_scene(options.images, options.scene);
-    if (folder.empty()) folder = fs::is_directory(options.scene / "images") ? options.scene / "images" : options.scene;
+fs::path photo_folder(const ViewsOptions& options) {
+    const fs::path folder = in_scene(options.images, options.scene);
+    if (!folder.empty()) return folder;
+    return fs::is_directory(options.scene / "images") ? options.scene / "images" : options.scene;
+}
+
+std::vector<std::string> photos_in(const fs::path& folder) {
+    if (!fs::is_directory(folder)) throw InputError(folder.string() + ": no such folder");
     std::vector<std::string> names;
     static const std::set<std::string> extensions{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp"};
     for (const auto& entry : fs::directory_iterator(folder)) {
@@ -171,6 +185,38 @@ std::vector<std::string> photos_in(const ViewsOptions& options) {
     return names;
 }
 
+/// Photographs alone, or, where there are none, masks.
+Views unposed_views(const ViewsOptions& options, Progress& progress) {
+    fs::path folder = photo_folder(options);
+    std::vector<std::string> names = photos_in(folder);
+    if (names.empty() && options.images.empty() && fs::is_directory(options.scene / "masks")) names = photos_in(folder = options.scene / "masks");
+    if (names.empty()) throw InputError(folder.string() + ": neither cameras nor photographs. Remedy: a folder with photographs, or with images/ or masks/");
+    Views out;
+    out.posed = false;
+    out.format = "photographs";
+    out.camera_file = folder;
+    out.up = options.up;
+    out.units = options.units;
+    out.views.resize(names.size());
+    size_t known = 0;
+    for (size_t i = 0; i < names.size(); ++i) {
+        View& v = out.views[i];
+        v.name = names[i];
+        v.image_path = folder / names[i];
+        Intrinsics& k = v.camera.intrinsics;
+        std::tie(k.width_px, k.height_px) = image_size(v.image_path);
+        k.fx = k.fy = io::exif_focal_px(v.image_path, k.width_px, k.height_px);
+        k.cx = 0.5 * k.width_px;
+        k.cy = 0.5 * k.height_px;
+        known += k.fx > 0;
+    }
+    // A focal length for some helps nobody: they are compared with each other.
+    if (known < names.size())
+        for (View& v : out.views) v.camera.intrinsics.fx = v.camera.intrinsics.fy = 0;
+    else progress.note("focal length from the photographs: " + std::to_string(std::lround(out.views.front().camera.intrinsics.fx)) + " px");
+    return out;
+}
+
 }  // namespace
 
 Views load_views(const ViewsOptions& options, Progress& progress) {
@@ -179,7 +225,9 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
             throw InputError(options.scene.string() + ": is a file; a scene is a folder with photographs (video is not read yet)");
         throw InputError(options.scene.string() + ": no such folder");
     }
-    const Candidate found = find_camera_file(options, progress);
+    const std::optional<Candidate> candidate = find_camera_file(options, progress);
+    if (!candidate) return unposed_views(options, progress);
+    const Candidate& found = *candidate;
     io::Imported imported = found.importer->read(found.path);
     for (const std::string& n : imported.notes) progress.note(found.path.string() + ": " + n);
     for (const std::string& w : imported.warnings) progress.warn(found.path.string() + ": " + w);
@@ -200,7 +248,7 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
     const bool nameless = std::all_of(imported.views.begin(), imported.views.end(),
                                       [](const io::ImportedView& v) { return v.view.name.empty(); });
     if (nameless) {
-        const std::vector<std::string> photos = photos_in(options);
+        const std::vector<std::string> photos = photos_in(photo_folder(options));
         if (photos.size() != imported.views.size())
             throw InputError(found.path.string() + ": holds " + std::to_string(imported.views.size()) +
                              " cameras without names, but the scene has " + std::to_string(photos.size()) + " images");

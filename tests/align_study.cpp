@@ -164,7 +164,7 @@ Outcome run(const Job& job) {
     for (int k = 0; k < 150000; ++k) {
         const Vec3d p = middle + half.cwiseProduct(Vec3d(unit(random), unit(random), unit(random)));
         const Vec3d q = s.rotation.transpose() * (p - s.translation) / s.scale;
-        const bool a = inside(truth, scene.true_masks.empty() ? scene.masks : scene.true_masks, p), b = inside(used, good_masks, q);
+        const bool a = inside(truth, job.broken ? scene.masks : masks, p), b = inside(used, good_masks, q);
         both += a && b;
         either += a || b;
         bool solid = false;

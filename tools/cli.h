@@ -26,6 +26,7 @@ struct Command {
 
 Command add_reconstruct(CLI::App& program);
 Command add_mask(CLI::App& program);
+Command add_align(CLI::App& program);
 Command add_carve(CLI::App& program);
 Command add_synth(CLI::App& program);
 Command add_info(CLI::App& program);

@@ -3,6 +3,8 @@
 #include <spdlog/spdlog.h>
 
 #include <cmath>
+#include <filesystem>
+#include <fstream>
 #include <iostream>
 #include <memory>
 
@@ -15,6 +17,7 @@ namespace {
 struct Raw {
     ReconstructOptions options;
     std::string bounds, grid, origin;
+    std::string angles, rings, sittings, principal_point;
     double pass_band = 0;
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
@@ -28,6 +31,43 @@ size_t bytes_of(const std::string& option, const std::string& text) {
     const double bytes = numbers(option, digits, 1)[0] * (unit == std::string::npos ? 1.0 : std::pow(1024.0, static_cast<double>(unit) + 1));
     if (!(bytes >= 1)) throw UsageError(option + " " + text + ": must be > 0");
     return static_cast<size_t>(bytes);
+}
+
+/// Words of a list or of a text file: "0,10,20" or angles.txt.
+std::vector<double> list_of(const std::string& option, std::string text) {
+    if (std::filesystem::is_regular_file(text)) {
+        std::ifstream in(text);
+        std::ostringstream all;
+        all << in.rdbuf();
+        text = all.str();
+    }
+    for (char& c : text)
+        if (c == ',' || c == ';') c = ' ';
+    std::vector<double> out;
+    std::istringstream words(text);
+    for (std::string word; words >> word;) out.push_back(numbers(option, word, 1)[0]);
+    return out;
+}
+
+std::vector<int> counts_of(const std::string& option, const std::string& text) {
+    std::vector<int> out;
+    for (const double v : list_of(option, text)) {
+        if (v != std::floor(v) || v < 1 || v > 1e6) throw UsageError(option + " " + text + ": whole numbers of views are expected, like 24,24");
+        out.push_back(static_cast<int>(v));
+    }
+    return out;
+}
+
+void read_alignment(Raw& raw) {
+    AlignOptions& a = raw.options.align;
+    if (!raw.angles.empty() && raw.angles != "equal") a.angles_deg = list_of("--angles", raw.angles);
+    if (!raw.rings.empty()) a.rings = counts_of("--rings", raw.rings);
+    if (!raw.sittings.empty()) a.sittings = counts_of("--sittings", raw.sittings);
+    if (!raw.principal_point.empty()) {
+        const auto p = numbers("--principal-point", raw.principal_point, 2);
+        a.principal_point_px = Vec2d(p[0], p[1]);
+    }
+    a.units = raw.options.views.units;
 }
 
 void read_raw(Raw& raw) {
@@ -50,6 +90,7 @@ void read_raw(Raw& raw) {
     }
     if (raw.pass_band > 0) o.smooth.mu = mu_for(o.smooth.lambda, raw.pass_band);
     o.views.allow_missing = o.mask.allow_missing;
+    read_alignment(raw);
 }
 
 /// The effective configuration of one command: everything that has a value, defaults included.
@@ -119,6 +160,44 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
 
 namespace {
 
+void add_alignment(CLI::App& app, Raw& raw) {
+    AlignOptions& a = raw.options.align;
+    const char* group = "Alignment (without a camera file, or with --method)";
+    static const std::map<std::string, AlignMethod> methods{{"coherence", AlignMethod::Coherence}, {"refine", AlignMethod::Refine}};
+    app.add_option_function<std::string>("--method", [&raw](const std::string& text) {
+           const auto found = methods.find(text);
+           if (found == methods.end()) throw UsageError("--method " + text + ": is none of coherence, refine");
+           raw.options.align.method = found->second;
+           raw.options.align_again = true;
+       }, "how cameras are found: coherence (of silhouettes, from an orbit), refine (the same, from the camera file's)")->group(group);
+    static const std::map<std::string, Orbit> orbits{{"auto", Orbit::Auto}, {"turntable", Orbit::Turntable}, {"fixed-camera", Orbit::FixedCamera}, {"hand-held", Orbit::HandHeld}};
+    app.add_option("--orbit", a.orbit, "who moves: turntable (by known steps), fixed-camera (steps uneven), hand-held; auto: the simplest that explains what it was not fitted to")
+        ->transform(CLI::CheckedTransformer(orbits, CLI::ignore_case))->group(group);
+    app.add_option("--angles", raw.angles, "degrees the object has turned at each view: equal (default), a list like 0,20,40 or a file with as many numbers as views")->group(group);
+    app.add_option_function<std::string>("--arc", [&a](const std::string& text) {
+           a.arc_known = text != "auto";
+           if (a.arc_known) a.arc_deg = numbers("--arc", text, 1)[0];
+       }, "degrees from the first view once around (360: the last view is one step before the first); auto: not known")->default_str("360")->group(group);
+    static const std::map<std::string, Turn> turns{{"auto", Turn::Auto}, {"cw", Turn::Clockwise}, {"ccw", Turn::Counterclockwise}};
+    app.add_option("--direction", a.direction,
+                   "the object's turn from view to view, seen from above: cw, ccw or auto. ccw: what is in front moves to the right in the images\n"
+                   "            ccw   .---.          cw   .---.\n"
+                   "                 v     |             |     v\n"
+                   "                  '-->'               '<--'\n"
+                   "                  [cam]               [cam]")
+        ->transform(CLI::CheckedTransformer(turns, CLI::ignore_case))->group(group);
+    app.add_option("--rings", raw.rings, "views in each ring around the object, in the order of their names, like 24,24")->group(group);
+    app.add_option("--sittings", raw.sittings, "views of each sitting (the object laid on another side), likewise")->group(group);
+    app.add_option("--fov", a.fov_deg, "horizontal field of view, degrees (default: what the photographs say, else found)")->check(CLI::Range(1.0, 169.0))->group(group);
+    app.add_option("--principal-point", raw.principal_point, "x,y in pixels, where it is known (default: found near the middle)")->group(group);
+    app.add_flag("--focal-varies", a.focal_varies, "every view has its own focal length, a little different (autofocus)")->group(group);
+    app.add_flag("--centre-varies", a.centre_varies, "every view has its own principal point (a stabiliser's crop)")->group(group);
+    app.add_option("--known-height", a.known_height, "of the object along the axis, in --units: gives the scale")->check(CLI::PositiveNumber)->group(group);
+    app.add_option("--known-distance", a.known_distance, "of the cameras from the object's middle, in --units: gives the scale")->check(CLI::PositiveNumber)->group(group);
+    app.add_option("--restarts", a.restarts, "times to start again from disturbed angles, to see what is left open")->capture_default_str()->check(CLI::Range(0, 20))->group(group);
+    app.add_flag("--accept-unobservable", raw.options.accept_unobservable, "go on with cameras that the silhouettes do not determine")->group(group);
+}
+
 Command add(CLI::App& program, const char* name, const char* what, LastStage last) {
     auto raw = std::make_shared<Raw>();
     ReconstructOptions& o = raw->options;
@@ -129,7 +208,9 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     app->add_option("-o,--output", o.output, "folder for the result")->required();
 
     add_scene_options(*app, o.views, o.mask);
-    if (last != LastStage::Mask) {
+    if (last != LastStage::Mask) add_alignment(*app, *raw);
+    if (last == LastStage::Align) o.align_again = true;
+    if (last == LastStage::Carve || last == LastStage::Export) {
         app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(CLI::PositiveNumber)->group("Grid");
         app->add_option("--voxel-size", o.voxel_size, "edge of a voxel, scene units")->check(CLI::PositiveNumber)->group("Grid");
         app->add_option("--grid", raw->grid, "voxels along x, y and z, like 1024x512x1024")->group("Grid");
@@ -246,6 +327,9 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
 
 Command add_reconstruct(CLI::App& program) {
     return add(program, "reconstruct", "everything: views, masks, carving, level set, mesh, files", LastStage::Export);
+}
+Command add_align(CLI::App& program) {
+    return add(program, "align", "cameras from silhouettes, into OUT/cameras.json", LastStage::Align);
 }
 Command add_mask(CLI::App& program) { return add(program, "mask", "only the masks, into OUT/masks", LastStage::Mask); }
 Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve); }

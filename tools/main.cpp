@@ -88,6 +88,8 @@ int run_program(const std::vector<std::string>& words) {
         "  vdbcarve synth cup -o shoot                       make a synthetic shoot: photos, masks, cameras, truth\n"
         "  vdbcarve reconstruct shoot -o out                 masks and cameras of the scene -> out/volume.vdb, out/mesh.ply\n"
         "  vdbcarve reconstruct dino --mask threshold -o out photographs on black, masks by a threshold\n"
+        "  vdbcarve align shoot --cameras none -o aligned    cameras from silhouettes alone -> aligned/cameras.json\n"
+        "  vdbcarve reconstruct photos --mask threshold --fov 40 --known-height 120 --units mm -o out   photographs of a turntable, no cameras\n"
         "  vdbcarve check shoot                              what is wrong with cameras and masks, in words\n"
         "  vdbcarve evaluate out --truth shoot/truth.ply     how far the result is from the truth\n"
         "  vdbcarve info out                                 what a file or a result holds\n"
@@ -105,7 +107,7 @@ int run_program(const std::vector<std::string>& words) {
     program.add_option("--json", common.json, "'-': JSON on stdout, one event a line, the report last")->check(CLI::IsMember({"-"}));
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
-    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_mask(program), cli::add_carve(program),
+    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
                                        cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_bench(program),
                                        cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
                                        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),

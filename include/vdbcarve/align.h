@@ -18,6 +18,12 @@
 
 namespace vdbcarve {
 
+enum class AlignMethod {
+    Coherence,  ///< from the silhouettes and what is known of the motion
+    Refine      ///< from the cameras that the views have already, which are near the truth
+};
+const char* name_of(AlignMethod method);
+
 /// How the cameras move; each rung has the unknowns of the one before, and more.
 enum class Orbit {
     Auto,         ///< the lowest that explains contour points which it was not fitted to
@@ -33,6 +39,7 @@ enum class Turn { Auto, Clockwise, Counterclockwise };
 const char* name_of(Turn turn);
 
 struct AlignOptions {
+    AlignMethod method = AlignMethod::Coherence;
     Orbit orbit = Orbit::Auto;
     Turn direction = Turn::Auto;
     /// Angles by which the object has turned at each view, degrees; empty: equal steps over arc_deg, a ring after the other.
@@ -75,6 +82,7 @@ struct AlignRung {
 };
 
 struct AlignResult {
+    AlignMethod method = AlignMethod::Coherence;
     Views views;                 ///< with cameras; world z is up, along the axis
     Orbit orbit = Orbit::HandHeld;
     Turn direction = Turn::Counterclockwise;
@@ -98,9 +106,16 @@ struct AlignResult {
     std::vector<std::string> warnings;
 };
 
-/// Finds the cameras. `views` give names, image sizes and, where known, focal lengths (their poses are not looked at); masks[i] belongs to
+/// Finds the cameras. `views` give names, image sizes and, where known, focal lengths (their poses are looked at by AlignMethod::Refine only, whose result
+/// lies in their world); masks[i] belongs to
 /// views.views[i]; views with an empty mask get the camera of their nominal place. Same bits for any number of threads. Time: about
 /// views^2 * points * 10 us. Throws InputError for fewer than 4 views with a silhouette, UsageError for options that contradict each other.
 AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress);
+
+/// What was found, for reports.
+std::string alignment_json(const AlignResult& result);
+
+/// The cameras and the object's outline from above, and heights over azimuth.
+std::string orbit_svg(const AlignResult& result);
 
 }  // namespace vdbcarve

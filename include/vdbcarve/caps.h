@@ -7,6 +7,7 @@
 
 #include <openvdb/openvdb.h>
 
+#include <string>
 #include <vector>
 
 #include "vdbcarve/geometry.h"
@@ -18,6 +19,9 @@ namespace vdbcarve {
 
 /// The direction that "top" and "bottom" are along when no up axis is known: the one in which the cameras spread least, its sign such that most cameras look down.
 Vec3d orbit_axis(const std::vector<Camera>& cameras);
+
+/// The named axis (x, y, z, -x, …), or orbit_axis() for an empty name.
+Vec3d up_direction(const std::string& up, const std::vector<Camera>& cameras);
 
 /// Heights along an axis, world units.
 struct SeenExtent {

@@ -89,7 +89,7 @@ struct CameraErrors {
     double focal_ratio = 0;                                    ///< median of focal length / true focal length
     double reprojection_rms_px = 0;  ///< of the given points, in the true cameras' pixels; after the similarity that fits images best
     std::vector<double> rotation_deg, centre;                  ///< of each view
-    Similarity truth_from_estimate;
+    Similarity truth_from_estimate;  ///< the one that fits images best where points are given, else the one above
 };
 /// `points_truth`: where reprojection is measured (of the object; empty: not). Throws UndeterminedError for fewer than 3 cameras.
 CameraErrors compare_cameras(const std::vector<Camera>& estimate, const std::vector<Camera>& truth, const std::vector<Vec3d>& points_truth);

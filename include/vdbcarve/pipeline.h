@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "vdbcarve/align.h"
 #include "vdbcarve/backend.h"
 #include "vdbcarve/color.h"
 #include "vdbcarve/distance.h"
@@ -25,11 +26,14 @@
 namespace vdbcarve {
 
 /// The last stage to run.
-enum class LastStage { Mask, Carve, Export };
+enum class LastStage { Mask, Align, Carve, Export };
 
 struct ReconstructOptions {
     ViewsOptions views;
     MaskOptions mask;
+    AlignOptions align;                              ///< where cameras are to be found or improved
+    bool align_again = false;                        ///< also where there is a camera file
+    bool accept_unobservable = false;                ///< go on with cameras that align() does not stand behind
     DistanceOptions distance;
 
     // The grid: at most one of resolution, voxel_size and grid.

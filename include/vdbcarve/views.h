@@ -40,6 +40,7 @@ struct Views {
     std::string units;                  ///< length unit of the world, or empty when unknown
     std::vector<std::string> left_out;  ///< names of views without an image (allow_missing)
     bool metric = true;                 ///< false: a projective world, without angles and distances
+    bool posed = true;                  ///< false: there was no camera file; focal lengths may be 0 (unknown), poses mean nothing
 
     /// The cameras in the scene's frame, every sitting's transform applied.
     std::vector<Camera> cameras() const;
@@ -50,7 +51,8 @@ enum class PixelCentre { Default, Corner, Integer };
 struct ViewsOptions {
     std::filesystem::path scene;         ///< folder with images/, masks/, camera files, or photos directly
     std::filesystem::path images;        ///< overrides where images are looked for
-    std::filesystem::path cameras;       ///< overrides which camera file is read
+    std::filesystem::path cameras;       ///< overrides which camera file is read; "none": no file is
+    bool allow_unposed = false;          ///< without a camera file, views have photographs only, for align()
     PixelCentre pixel_centre = PixelCentre::Default;  ///< overrides the format's rule
     bool accept_non_metric = false;      ///< carve in a projective world all the same
     bool allow_missing = false;          ///< leave out views whose image or mask is missing
@@ -61,7 +63,8 @@ struct ViewsOptions {
 /// Finds and reads the camera file of a scene and resolves its images. Order of search, first match by
 /// content: transforms.json, transforms_train.json, our cameras.json, sparse/0, sparse, colmap, the
 /// folder itself (COLMAP, binary before text), *_par.txt, *.pa. Views come in natural order of names.
-/// Throws InputError naming the file, view, value and remedy.
+/// Without any, where allow_unposed says so, every photograph (or mask, where there are only masks) is a view without a pose, its focal length
+/// the one that the file says (EXIF), or 0. Throws InputError naming the file, view, value and remedy.
 Views load_views(const ViewsOptions& options, Progress& progress);
 
 /// Throws InputError for cameras that cannot be carved with (not finite, left-handed, no focal length, no
