@@ -139,10 +139,13 @@ class RingAligner {
             m.global(OrbitModel::CentreY).release(0, 0.01 * diagonal);
         }
         if (orbit != Orbit::Turntable && o_.angles_deg.empty()) m.global(OrbitModel::LnArc).release(0, 0.1);
-        m.ring(0, OrbitModel::Elevation).release(0.2, 0.4);
-        if (orbit != Orbit::HandHeld) {
-            for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt}) m.ring(0, part).release(m.ring(0, part).value, 0.3 * width_rad);
-            m.ring(0, OrbitModel::RingRoll).release(0, 6 * kRadians);
+        for (size_t r = 0; r < m.rings(); ++r) {
+            m.ring(r, OrbitModel::Elevation).release(0.2, 0.4);
+            if (orbit != Orbit::HandHeld) {
+                for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt}) m.ring(r, part).release(m.ring(r, part).value, 0.3 * width_rad);
+                m.ring(r, OrbitModel::RingRoll).release(0, 6 * kRadians);
+            }
+            if (r > 0) free_ring(m, r);
         }
         for (size_t i : silhouettes_.seen()) {
             if (orbit != Orbit::Turntable) m.of(i, OrbitModel::Azimuth).release(0, 9 * kRadians);
@@ -155,6 +158,18 @@ class RingAligner {
             if (o_.focal_varies) m.of(i, OrbitModel::ViewLnFocal).release(0, 0.015);
             if (o_.centre_varies)
                 for (const auto part : {OrbitModel::ViewCentreX, OrbitModel::ViewCentreY}) m.of(i, part).release(0, 0.01 * diagonal);
+        }
+    }
+
+    /// Where a ring lies to the first: priors so wide that they only keep the numbers finite.
+    static void free_ring(OrbitModel& m, size_t r) {
+        m.ring(r, OrbitModel::RingAzimuth).release(m.ring(r, OrbitModel::RingAzimuth).value, 1);
+        m.ring(r, OrbitModel::RingDistance).release(m.ring(r, OrbitModel::RingDistance).value, 0.2);
+        for (int a = 0; a < 3; ++a) {
+            Parameter& turn = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingTurn + a));
+            Parameter& shift = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingShift + a));
+            turn.release(turn.value, 0.3);
+            shift.release(shift.value, 0.1);
         }
     }
 
@@ -542,6 +557,33 @@ Views with_cameras(const Views& given, const OrbitModel& model) {
     return out;
 }
 
+/// Cameras of a later sitting in that sitting's own world, which is where its first ring stands.
+void set_sittings(Views& views, const OrbitModel& m, const std::vector<int>& sitting_of) {
+    views.sittings.clear();
+    for (size_t i = 0; i < views.views.size(); ++i) {
+        const int sitting = sitting_of[i];
+        if (static_cast<size_t>(sitting) == views.sittings.size()) {
+            const auto r = static_cast<size_t>(m.ring_of(i));
+            Sitting s;
+            s.id = std::to_string(sitting);
+            Vec3d turn, shift;
+            for (int a = 0; a < 3; ++a) {
+                turn[a] = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingTurn + a)).value;
+                shift[a] = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingShift + a)).value;
+            }
+            // The first sitting's world is the scene.
+            if (sitting > 0) {
+                if (turn.norm() > 0) s.scene_from_sitting.rotation = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix();
+                s.scene_from_sitting.translation = shift;
+            }
+            views.sittings.push_back(s);
+        }
+        View& v = views.views[i];
+        v.sitting = std::to_string(sitting);
+        v.camera.camera_from_world = v.camera.camera_from_world * views.sittings[static_cast<size_t>(sitting)].scene_from_sitting;
+    }
+}
+
 /// Brings the point that cameras look at to the origin, and their median distance to 1.
 Similarity normalising(const std::vector<Camera>& cameras) {
     const auto target = look_at_point(cameras);
@@ -554,6 +596,216 @@ Similarity normalising(const std::vector<Camera>& cameras) {
     return out;
 }
 
+// ------------------------------------------------------------------------------------- several rings and sittings
+
+/// Views that stand in one ring: they are aligned by themselves first.
+struct Group {
+    size_t first, count;
+    int sitting;
+};
+
+std::vector<Group> groups_of(const AlignOptions& o, size_t views) {
+    std::vector<size_t> ring_ends, sitting_ends;
+    const auto ends = [views](const std::vector<int>& counts) {
+        std::vector<size_t> out;
+        for (int c : counts) out.push_back((out.empty() ? 0 : out.back()) + static_cast<size_t>(c));
+        if (out.empty()) out.push_back(views);
+        return out;
+    };
+    ring_ends = ends(o.rings.empty() ? o.sittings : o.rings);
+    sitting_ends = ends(o.sittings);
+    std::vector<Group> out;
+    size_t first = 0;
+    int sitting = 0;
+    for (size_t end : ring_ends) {
+        while (sitting_ends[static_cast<size_t>(sitting)] <= first) ++sitting;
+        if (end > sitting_ends[static_cast<size_t>(sitting)]) throw UsageError("--rings and --sittings: a ring goes over the end of sitting " + std::to_string(sitting));
+        out.push_back({first, end - first, sitting});
+        first = end;
+    }
+    return out;
+}
+
+/// What was seen of the object in a ring's own world.
+struct Outline {
+    Vec3d middle = Vec3d::Zero();
+    double radius = 0;  ///< rms
+};
+Outline outline_of(const CoherenceFit& f) {
+    std::vector<Vec3d> all;
+    for (size_t p = 0; p < f.points.size(); ++p)
+        if (f.touches[p].residual_px < 2) all.push_back(touch_position(f.model.camera(static_cast<size_t>(f.points[p].view)), f.points[p], f.touches[p].depth));
+    Outline out;
+    for (const Vec3d& x : all) out.middle += x / static_cast<double>(all.size());
+    for (const Vec3d& x : all) out.radius += (x - out.middle).squaredNorm() / static_cast<double>(all.size());
+    out.radius = std::sqrt(out.radius);
+    return out;
+}
+
+/// Places ring `r` of the joint model by a turn of its world around its outline's middle, onto the outline of the first.
+void place_ring(OrbitModel& m, size_t r, const std::vector<Group>& groups, const Mat3d& scene_from_ring, const Outline& scene, const Outline& ring, const OrbitModel& own) {
+    const double scale = scene.radius / ring.radius;
+    m.ring(r, OrbitModel::RingDistance).value = std::log(scale);
+    m.ring(r, OrbitModel::RingHeight).value = scale * own.ring(0, OrbitModel::RingHeight).value;
+    for (size_t k = 0; k < groups[r].count; ++k) m.of(groups[r].first + k, OrbitModel::Height).value = scale * own.of(k, OrbitModel::Height).value;
+    const Eigen::AngleAxisd turn(scene_from_ring);
+    const Vec3d shift = scene.middle - scene_from_ring * (scale * ring.middle);
+    for (int a = 0; a < 3; ++a) {
+        m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingTurn + a)).value = turn.angle() * turn.axis()[a];
+        m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingShift + a)).value = shift[a];
+    }
+}
+
+/// Aligns each ring alone, finds how their worlds lie to each other by trying turns (about the axis within a sitting, all of them between sittings),
+/// then everything together.
+RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups, RingAligner& joint, std::vector<AlignRung>& rungs,
+                              std::vector<std::string>& failures, Progress& progress) {
+    std::vector<RingAligner::Best> parts;
+    std::vector<Candidate> leads;
+    Turn direction = o.direction;
+    for (const Group& g : groups) {
+        Views views = given;
+        views.views = {given.views.begin() + static_cast<long>(g.first), given.views.begin() + static_cast<long>(g.first + g.count)};
+        const std::vector<MaskView> some(masks.begin() + static_cast<long>(g.first), masks.begin() + static_cast<long>(g.first + g.count));
+        AlignOptions own = o;
+        own.rings.clear();
+        own.sittings.clear();
+        own.direction = direction;
+        if (!o.angles_deg.empty()) own.angles_deg = {o.angles_deg.begin() + static_cast<long>(g.first), o.angles_deg.begin() + static_cast<long>(g.first + g.count)};
+        RingAligner aligner(views, some, own, progress);
+        std::vector<AlignRung> tried;
+        parts.push_back(aligner.run(tried));
+        leads.push_back(RingAligner::lead(parts.back()));
+        if (leads.back().rms_px() > std::max(1.5, aligner.silhouettes().size_px() / 250))
+            failures.push_back(text_of("the ring of %s to %s does not fit together by itself (%.2f px)", views.views.front().name.c_str(), views.views.back().name.c_str(), leads.back().rms_px()));
+        direction = leads.back().turn;
+    }
+    // One model of all views: angles as found, everything else where it was.
+    std::vector<OrbitView> views;
+    for (size_t r = 0; r < groups.size(); ++r)
+        for (size_t k = 0; k < groups[r].count; ++k) {
+            OrbitView v = leads[r].fit.model.view(k);
+            v.azimuth_rad = leads[r].fit.model.azimuth(k);
+            v.ring = static_cast<int>(r);
+            views.push_back(v);
+        }
+    Candidate all = leads[0];
+    OrbitModel& m = all.fit.model = OrbitModel(views, static_cast<int>(groups.size()));
+    for (const Candidate& c : leads)
+        if (c.orbit > all.orbit) all.orbit = c.orbit;
+    const double share = 1.0 / static_cast<double>(groups.size());
+    for (size_t r = 0; r < groups.size(); ++r) {
+        const OrbitModel& own = leads[r].fit.model;
+        for (const auto which : {OrbitModel::LnFocal, OrbitModel::CentreX, OrbitModel::CentreY}) m.global(which).value += share * own.global(which).value;
+        for (const auto part : {OrbitModel::Elevation, OrbitModel::RingHeight, OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll}) m.ring(r, part).value = own.ring(0, part).value;
+        for (size_t k = 0; k < groups[r].count; ++k)
+            for (int part = OrbitModel::Pan; part < OrbitModel::kViewParts; ++part) {
+                const auto p = static_cast<OrbitModel::ViewPart>(part);
+                m.of(groups[r].first + k, p).value = own.of(k, p).value;
+                if (all.orbit == Orbit::HandHeld && leads[r].orbit != Orbit::HandHeld)
+                    for (const auto& [shared, mine] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}})
+                        if (p == mine) m.of(groups[r].first + k, p).value += own.ring(0, shared).value;
+            }
+        if (all.orbit == Orbit::HandHeld)
+            for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll}) m.ring(r, part).hold(0);
+    }
+    // How the others lie to the first.
+    Silhouettes& s = joint.silhouettes();
+    const CoherencePass pass = joint.coarse();
+    const Outline scene = outline_of(leads[0].fit);
+    std::mt19937_64 random(o.seed);
+    for (size_t r = 1; r < groups.size(); ++r) {
+        const Outline own = outline_of(leads[r].fit);
+        std::vector<Mat3d> turns;
+        if (groups[r].sitting == groups[0].sitting)
+            for (int k = 0; k < 90; ++k) turns.push_back(Eigen::AngleAxisd(4 * k * kRadians, Vec3d::UnitZ()).toRotationMatrix());
+        else
+            for (int k = 0; k < 1200; ++k) {  // about 18 degrees apart
+                std::normal_distribution<double> normal;
+                const Eigen::Quaterniond q(normal(random), normal(random), normal(random), normal(random));
+                turns.push_back(q.normalized().toRotationMatrix());
+            }
+        // Contours of each of the two against the other's silhouettes.
+        const auto mixed = [&](size_t looking, size_t asked, size_t count) {
+            std::vector<ContourPoint> points = s.contour(pass.scale, count, 51);
+            const Group& g = groups[looking];
+            std::erase_if(points, [&](const ContourPoint& p) { return static_cast<size_t>(p.view) < g.first || static_cast<size_t>(p.view) >= g.first + g.count; });
+            std::vector<CoherenceView> some = s.at_scale(pass.scale);
+            for (size_t i = 0; i < some.size(); ++i)
+                if (i < groups[asked].first || i >= groups[asked].first + groups[asked].count) some[i].field = nullptr;
+            return std::pair{points, some};
+        };
+        const size_t few = std::max<size_t>(2, 60 / groups[r].count);
+        const auto [from_ring, first_views] = mixed(r, 0, few);
+        const auto [from_first, ring_views] = mixed(0, r, std::max<size_t>(2, 60 / groups[0].count));
+        const auto score = [&, &from_ring = from_ring, &first_views = first_views, &from_first = from_first, &ring_views = ring_views](const OrbitModel& model) {
+            const std::vector<OrbitCamera> cameras = model.cameras();
+            double sum = 0;
+            for (const auto& [points, some] : {std::pair{&from_ring, &first_views}, {&from_first, &ring_views}})
+                for (const Touch& t : find_touches(*some, cameras, *points, {ball_radius(s, model), 0, 2 * pass.resolution_px}, {}))
+                    if (!std::isnan(t.residual_px)) sum += std::min(std::max(0.0, t.residual_px), 4 * pass.huber_px) / static_cast<double>(points->size());
+            return sum;
+        };
+        std::vector<std::pair<double, size_t>> scored;
+        for (size_t k = 0; k < turns.size(); ++k) {
+            place_ring(m, r, groups, turns[k], scene, own, leads[r].fit.model);
+            scored.emplace_back(score(m), k);
+            progress.check();
+        }
+        std::sort(scored.begin(), scored.end());
+        // The best few, each led to its own optimum with only the ring's place free.
+        Candidate best;
+        double least = INFINITY, second = INFINITY;
+        Mat3d best_turn = Mat3d::Identity();
+        for (size_t k = 0; k < std::min<size_t>(8, scored.size()); ++k) {
+            Candidate c = all;
+            place_ring(c.fit.model, r, groups, turns[scored[k].second], scene, own, leads[r].fit.model);
+            RingAligner::free_ring(c.fit.model, r);
+            c.fit.points = s.contour(pass.scale, 20, 52);
+            std::erase_if(c.fit.points, [&](const ContourPoint& p) {
+                const int ring = c.fit.model.ring_of(static_cast<size_t>(p.view));
+                return ring != 0 && ring != static_cast<int>(r);
+            });
+            std::vector<bool> was(s.count());
+            for (size_t i = 0; i < s.count(); ++i) {
+                was[i] = s.bad(i);
+                const int ring = c.fit.model.ring_of(i);
+                if (ring != 0 && ring != static_cast<int>(r)) s.set_bad(i, true);
+            }
+            refine(c.fit, s, pass, progress);
+            for (size_t i = 0; i < s.count(); ++i) s.set_bad(i, was[i]);
+            const double rms = c.rms_px();
+            joint.trace("ring %zu: score %.3f, then %.3f px", r, scored[k].first, rms);
+            const Mat3d turn = c.fit.model.camera(groups[r].first).camera_from_world;
+            const bool same = k > 0 && Eigen::AngleAxisd(turn * best_turn.transpose()).angle() < 5 * kRadians;
+            if (rms < least) {
+                if (!same) second = least;
+                least = rms, best = c, best_turn = turn;
+            } else if (!same) {
+                second = std::min(second, rms);
+            }
+        }
+        if (second < 1.3 * least + 0.05 * pass.scale)
+            failures.push_back(text_of("how the views from %s on lie to the first ones cannot be told: two ways fit alike (%.2f and %.2f px)", given.views[groups[r].first].name.c_str(), least, second));
+        for (int part = 0; part < OrbitModel::kRingParts; ++part) {
+            const auto p = static_cast<OrbitModel::RingPart>(part);
+            if (best.fit.model.views() > 0) m.ring(r, p).value = best.fit.model.ring(r, p).value;
+        }
+        if (best.fit.model.views() > 0)
+            for (size_t k = 0; k < groups[r].count; ++k) m.of(groups[r].first + k, OrbitModel::Height).value = best.fit.model.of(groups[r].first + k, OrbitModel::Height).value;
+    }
+    joint.free_parts(m, all.orbit);
+    m.global(OrbitModel::LnArc).hold(0);
+    joint.fit(all, joint.coarse(), 1);
+    joint.polish(all);
+    rungs.push_back({all.orbit, all.turn, all.rms_px(), 0, static_cast<int>(m.free().size())});
+    RingAligner::Best out;
+    out[all.turn] = all;
+    for (auto& [turn, c] : parts.front())
+        if (turn != all.turn) out[turn] = c;  // for its residual: the others were only tried in the first one's direction
+    return out;
+}
+
 AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
     RingAligner aligner(given, masks, o, progress);
     Silhouettes& silhouettes = aligner.silhouettes();
@@ -562,6 +814,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     AlignResult out;
     RingAligner::Best best;
     Similarity world_from_given;  // of Refine
+    std::vector<int> sitting_of;  // where there are several rings
     if (o.method == AlignMethod::Refine) {
         world_from_given = normalising(given.cameras());
         Candidate near;
@@ -572,6 +825,9 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
         out.rungs.back().rms_px = near.rms_px();
         best[near.turn] = std::move(near);
         progress.step(8);
+    } else if (const std::vector<Group> groups = groups_of(o, given.views.size()); groups.size() > 1) {
+        best = join_groups(given, masks, o, groups, aligner, out.rungs, out.failures, progress);
+        for (const Group& g : groups) sitting_of.insert(sitting_of.end(), g.count, g.sitting);
     } else {
         best = aligner.run(out.rungs);
     }
@@ -691,6 +947,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
         if (turn != c.turn) out.other_direction_px = other.rms_px();
     out.method = o.method;
     out.views = with_cameras(given, m);
+    if (!sitting_of.empty()) set_sittings(out.views, m, sitting_of);
     if (o.method == AlignMethod::Refine) {
         out.views.up = given.up;
         out.views.units = given.units;
@@ -730,7 +987,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
         out.failures.push_back(text_of("which way the object turned cannot be told from the silhouettes (%.2f px one way, %.2f px the other), and the wrong one gives its mirror image. Remedy: --direction cw or ccw (seen from above)", out.rms_px,
                                        out.other_direction_px));
         for (const auto& [turn, other] : best)
-            if (turn != c.turn)
+            if (turn != c.turn && other.fit.model.views() == given.views.size())
                 for (size_t i = 0; i < given.views.size(); ++i) out.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
     }
     const double ln_focal = m.global(OrbitModel::LnFocal).value;
@@ -770,6 +1027,7 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
     }
     r.views.units = o.units;
     for (View& v : r.views.views) v.camera.camera_from_world.translation *= scale;
+    for (Sitting& s : r.views.sittings) s.scene_from_sitting.translation *= scale;
     for (Camera& c : r.other_cameras) c.camera_from_world.translation *= scale;
     for (auto& t : r.touches_world)
         for (float& x : t) x = static_cast<float>(x * scale);

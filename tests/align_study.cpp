@@ -223,6 +223,18 @@ std::vector<Case> cases() {
     add("arc 270, said to be 360", [](Job& j) { j.spec.rig.arc_deg = 270; });
     add("breathing 1.5 %", [](Job& j) { j.spec.rig.breathing = 0.015; });
     add("breathing 1.5 %, --focal-varies", [](Job& j) { j.spec.rig.breathing = 0.015, j.options.focal_varies = true; });
+    add("two rings", [](Job& j) {
+        j.spec.rig.kind = Rig::Kind::Rings;
+        j.spec.rig.rings = {{18, 5}, {18, 35}};
+        j.options.rings = {18, 18};
+    });
+    add("two sittings", [](Job& j) {
+        j.spec.rig.sittings = 2;
+        j.spec.rig.views = 48;
+        j.spec.rig.arc_deg = 720;  // once around in each
+        j.spec.rig.elevation_deg = 15;
+        j.options.sittings = {24, 24};
+    });
     add("field of view 5", [](Job& j) { j.spec.rig.fov_deg = 3.8, j.spec.rig.shake_look_at = 0.0025; });
     add("field of view 30", [](Job& j) { j.spec.rig.fov_deg = 23, j.spec.rig.shake_look_at = 0.015; });
     return out;
