@@ -41,7 +41,9 @@ struct Candidate {
     CoherenceFit fit;
     Orbit orbit = Orbit::HandHeld;
     Turn turn = Turn::Counterclockwise;
+    int misses = 0;  ///< silhouettes that may be wrong
     double rms_px() const { return fit.rms_px(); }
+    double typical_px() const { return fit.typical_px(); }
 };
 
 /// Aligns views that all stand in one ring.
@@ -239,53 +241,76 @@ class RingAligner {
     using Best = std::map<Turn, Candidate>;
     static bool settled(const Best& best, double good_px) {
         std::vector<double> found;
-        for (const auto& [turn, c] : best) found.push_back(c.rms_px());
+        for (const auto& [turn, c] : best) found.push_back(c.typical_px());
         std::sort(found.begin(), found.end());
-        return !found.empty() && found.front() < good_px && (found.size() == 1 || found.back() > 4 * found.front() + 0.5 * good_px);
+        return !found.empty() && found.front() < good_px && (found.size() == 1 || found.back() > 2 * found.front() + 0.5 * good_px);
     }
     static Candidate& lead(Best& best) {
-        return std::min_element(best.begin(), best.end(), [](const auto& a, const auto& b) { return a.second.rms_px() < b.second.rms_px(); })->second;
+        return std::min_element(best.begin(), best.end(), [](const auto& a, const auto& b) { return a.second.typical_px() < b.second.typical_px(); })->second;
     }
 
     /// Tries a range of starts in each direction until one has clearly found its way, then in that direction until two have found the same.
     /// Returns how many did.
-    int search(Orbit orbit, const std::vector<Start>& from, Best& best) {
+    int search(Orbit orbit, const std::vector<Start>& from, Best& best, int misses = 0) {
         std::vector<std::pair<Turn, double>> found;
         const auto agreeing = [&] {
             const Candidate& c = lead(best);
-            return static_cast<int>(std::count_if(found.begin(), found.end(), [&](const auto& f) { return f.first == c.turn && f.second < 1.2 * c.rms_px() + 0.01 * coarse().scale; }));
+            return static_cast<int>(std::count_if(found.begin(), found.end(), [&](const auto& f) { return f.first == c.turn && f.second < 1.2 * c.typical_px() + 0.01 * coarse().scale; }));
         };
         for (const Start& s : from) {
             const bool decided = settled(best, good_coarse_px());
             if (decided && agreeing() >= 2) break;
             for (Turn turn : turns()) {
                 if (decided && turn != lead(best).turn) continue;
-                Candidate c{{}, orbit, turn};
+                Candidate c{{}, orbit, turn, misses};
                 c.fit.model = start(orbit, turn, s);
                 CoherencePass pass = coarse();
+                pass.misses = misses;
                 if (!best.empty()) pass.give_up_px = 10 * lead(best).rms_px() + good_coarse_px();
                 fit(c, pass, 1);
-                trace("%s %s arc %.0f f x%.2f e %.0f%s: %.3f px, f x%.3f", name_of(orbit), name_of(turn), s.arc_deg, std::exp(s.ln_focal), s.elevation_rad / kRadians, s.uneven ? " uneven" : "", c.rms_px(),
+                trace("%s %s%s arc %.0f f x%.2f e %.0f%s: %.3f px, f x%.3f", name_of(orbit), name_of(turn), misses ? " robust" : "", s.arc_deg, std::exp(s.ln_focal), s.elevation_rad / kRadians, s.uneven ? " uneven" : "", c.typical_px(),
                       std::exp(c.fit.model.global(OrbitModel::LnFocal).value));
-                found.emplace_back(turn, c.rms_px());
+                found.emplace_back(turn, c.typical_px());
                 const auto known = best.find(turn);
-                if (known == best.end() || c.rms_px() < known->second.rms_px()) best[turn] = std::move(c);
+                if (known == best.end() || c.typical_px() < known->second.typical_px()) best[turn] = std::move(c);
             }
         }
         return agreeing();
     }
 
     void polish(Candidate& c) {
+        const auto robust = [&](CoherencePass pass) {
+            pass.misses = c.misses;
+            return pass;
+        };
         // Where the speed changed smoothly is now known well enough for single views to take over.
-        fit(c, middle(), 2);
+        fit(c, robust(middle()), 2);
         const double after_middle = c.rms_px();
         trace("middle %.4f", after_middle);
-        fit(c, fine(after_middle), 3);
+        fit(c, robust(fine(c.misses ? c.typical_px() : after_middle)), 3);
         trace("fine %.4f", c.rms_px());
         trim(c.fit);
         const double rms = c.rms_px();
-        if (rms < 0.5 * after_middle) refine(c.fit, silhouettes_, fine(rms), progress_);
+        if (rms < 0.5 * after_middle) refine(c.fit, silhouettes_, robust(fine(rms)), progress_);
         trace("%s %s polished: %.4f px after %.4f, f %.1f", name_of(c.orbit), name_of(c.turn), c.rms_px(), after_middle, c.fit.model.focal_px(silhouettes_.seen().front()));
+    }
+
+    /// Cameras of bad silhouettes, from what of their contours is right: they move alone.
+    void place_bad(Candidate& c) {
+        CoherencePass pass = middle();
+        Candidate alone = c;
+        alone.fit.points = silhouettes_.contour(pass.scale, 2 * pass.points, 7, 0, Silhouettes::Which::Bad);
+        if (alone.fit.points.empty()) return;
+        OrbitModel& m = alone.fit.model;
+        for (const size_t p : m.free()) m.at(p).sigma = 0;
+        for (size_t i : silhouettes_.seen())
+            if (silhouettes_.bad(i))
+                for (int part = 0; part < OrbitModel::kViewParts; ++part) m.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma = c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma;
+        if (m.free().empty()) return;
+        refine(alone.fit, silhouettes_, pass, progress_);
+        for (size_t i : silhouettes_.seen())
+            if (silhouettes_.bad(i))
+                for (int part = 0; part < OrbitModel::kViewParts; ++part) c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value = m.of(i, static_cast<OrbitModel::ViewPart>(part)).value;
     }
 
     /// Leaves out points that fit so badly that their silhouette, not the cameras, must be wrong.
@@ -318,6 +343,9 @@ class RingAligner {
         return rest.rms_px();
     }
 
+    /// So many silhouettes may be wrong and the rest still bounds the object from all sides.
+    int robust_misses() const { return n_ < 14 ? 0 : static_cast<int>(std::lround(0.08 * static_cast<double>(n_))); }
+
     /// How many starts led to the same cameras.
     int agreeing() const { return agreeing_; }
 
@@ -333,7 +361,14 @@ class RingAligner {
                 fit(up, coarse(), 1);
                 hand[up.turn] = std::move(up);
             } else {
-                agreeing_ = search(Orbit::HandHeld, all, hand);
+                agreeing_ = search(Orbit::HandHeld, {all.front()}, hand);
+                if (!settled(hand, good_coarse_px()) && robust_misses() > 0) {
+                    // A few silhouettes may be wrong: does it work without listening to all of them?
+                    Best robust;
+                    const int agree = search(Orbit::HandHeld, {all.begin(), all.begin() + std::min<long>(3, static_cast<long>(all.size()))}, robust, robust_misses());
+                    if (settled(robust, good_coarse_px())) hand = robust, agreeing_ = agree;
+                }
+                if (lead(hand).misses == 0 && (!settled(hand, good_coarse_px()) || agreeing_ < 2)) agreeing_ += search(Orbit::HandHeld, {all.begin() + 1, all.end()}, hand);
             }
         }
         progress_.step(3);
@@ -343,11 +378,11 @@ class RingAligner {
         // The rungs, each from the one below or from its own search, whichever is better.
         const auto unknowns = [](const Candidate& c) { return static_cast<int>(c.fit.model.free().size()); };
         std::vector<Candidate> ladder;
-        const double best_coarse = std::min(table.empty() ? INFINITY : lead(table).rms_px(), hand.empty() ? INFINITY : lead(hand).rms_px());
+        const double best_coarse = std::min(table.empty() ? INFINITY : lead(table).typical_px(), hand.empty() ? INFINITY : lead(hand).typical_px());
         const auto in_the_race = [&](double rms) { return rms < 5 * best_coarse + 0.1 * coarse().scale; };
         if (!table.empty()) {
             Candidate& c = lead(table);
-            if (o_.orbit == Orbit::Turntable || in_the_race(c.rms_px())) {
+            if (o_.orbit == Orbit::Turntable || in_the_race(c.typical_px())) {
                 if (o_.orbit != Orbit::FixedCamera) {
                     polish(c);
                     ladder.push_back(c);
@@ -362,7 +397,7 @@ class RingAligner {
                     fixed[turn] = climbed(t, Orbit::FixedCamera);
                     fit(fixed[turn], coarse(), 1);
                 }
-                if (o_.orbit == Orbit::FixedCamera || in_the_race(lead(fixed).rms_px())) {
+                if (o_.orbit == Orbit::FixedCamera || in_the_race(lead(fixed).typical_px())) {
                     polish(lead(fixed));
                     ladder.push_back(lead(fixed));
                 }
@@ -393,7 +428,7 @@ class RingAligner {
         for (Best* tried : {&hand, &table})
             for (auto& [turn, c] : *tried)
                 if (turn != winner.turn && !out.count(turn) && (c.orbit == winner.orbit || hand.empty() || table.empty())) {
-                    if (c.rms_px() < 4 * best_coarse + good_coarse_px()) polish(c);
+                    if (c.typical_px() < 4 * best_coarse + good_coarse_px()) polish(c);
                     out[turn] = c;
                 }
         if (o_.direction == Turn::Auto && out.size() == 1) {
@@ -401,7 +436,7 @@ class RingAligner {
             Candidate c{{}, winner.orbit, other};
             c.fit.model = start(winner.orbit, other, {o_.arc_deg, winner.fit.model.global(OrbitModel::LnFocal).value, winner.fit.model.ring(0, OrbitModel::Elevation).value, false});
             fit(c, coarse(), 1);
-            if (c.rms_px() < 4 * best_coarse + good_coarse_px()) polish(c);
+            if (c.typical_px() < 4 * best_coarse + good_coarse_px()) polish(c);
             out[other] = c;
         }
         progress_.step(1);
@@ -477,27 +512,22 @@ class Judge {
 
     /// Residuals by view, of points drawn anew.
     std::vector<AlignedView> views_of(const OrbitModel& model, const CoherencePass& pass) {
-        const std::vector<ContourPoint> points = s_.contour(pass.scale, pass.points, 21);
+        const std::vector<ContourPoint> points = s_.contour(pass.scale, pass.points, 21, 0, Silhouettes::Which::All);
         const std::vector<Touch> touches = touches_of(s_, model, points, pass);
         const std::vector<CoherenceView>& views = s_.at_scale(pass.scale);
         const std::vector<OrbitCamera> cameras = model.cameras();
         const size_t n = s_.count();
         std::vector<AlignedView> out(n);
         std::vector<std::vector<double>> residuals(n);
-        std::vector<double> blame(n, 0);
+        std::vector<double> dissents(n, 0);
         for (size_t p = 0; p < points.size(); ++p) {
             const double r = touches[p].residual_px;
             if (std::isnan(r)) continue;
             residuals[static_cast<size_t>(points[p].view)].push_back(std::max(0.0, r));
-            if (r < 0.5) continue;
+            if (r <= -pass.margin_px && pass.misses == 0) continue;
             // Whose silhouettes keep the line of sight out of the hull.
-            const std::vector<Support> supports = supports_of(views, cameras, points[p], touches[p], 1, 8);
-            if (supports.empty()) continue;
-            std::vector<double> values, slopes;
-            for (const Support& x : supports) values.push_back(x.distance_px), slopes.push_back(x.slope);
-            const Minimax held = minimax(values.data(), slopes.data(), values.size(), 1);
-            blame[static_cast<size_t>(supports[held.first].view)] += held.share * r * r;
-            blame[static_cast<size_t>(supports[held.second].view)] += (1 - held.share) * r * r;
+                for (const Support& x : supports_of(views, cameras, points[p], touches[p], 1e9, 8))
+                if (x.distance_px > dissent_limit_px()) dissents[static_cast<size_t>(x.view)] += 1;
         }
         for (size_t i = 0; i < n; ++i) {
             AlignedView& v = out[i];
@@ -511,28 +541,30 @@ class Judge {
             v.residual_px = std::sqrt(sum / static_cast<double>(residuals[i].size()));
             v.residual_p95_px = percentile(residuals[i], 0.95);
             v.coherent = static_cast<double>(near) / static_cast<double>(residuals[i].size());
-            v.blame_px = std::sqrt(blame[i] / static_cast<double>(pass.points));
+            v.dissent = dissents[i] / static_cast<double>(points.size());
         }
         return out;
     }
 
-    /// Marks views whose silhouettes contradict the others'. True when there are new ones.
-    bool mark_bad(const std::vector<AlignedView>& views) {
-        std::vector<double> own, blame;
-        for (size_t i : s_.seen()) own.push_back(views[i].residual_px), blame.push_back(views[i].blame_px);
+    double dissent_limit_px() const { return std::max(2.0, s_.size_px() / 200); }
+
+    /// Views whose silhouettes contradict the others': those that are not much less bad than the worst, for a bad silhouette drags its
+    /// neighbours along. At most a quarter of all.
+    std::vector<size_t> contradicting(const std::vector<AlignedView>& views, const std::vector<size_t>& known) const {
+        std::vector<double> own, dissent;
+        for (size_t i : s_.seen()) own.push_back(views[i].residual_px), dissent.push_back(views[i].dissent);
         // Real masks stray by a pixel here and there; that is what trimming points is for.
-        const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}), blame_limit = std::max({1.5, s_.size_px() / 250, 5 * median(blame)});
+        const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}), dissent_limit = std::clamp(5 * median(dissent), 0.008, 0.02);
         std::vector<std::pair<double, size_t>> worst;
         for (size_t i : s_.seen())
-            if (!s_.bad(i) && (views[i].residual_px > own_limit || views[i].blame_px > blame_limit)) worst.push_back({std::max(views[i].residual_px / own_limit, views[i].blame_px / blame_limit), i});
+            if (!std::count(known.begin(), known.end(), i) && (views[i].residual_px > own_limit || views[i].dissent > dissent_limit)) worst.push_back({std::max(views[i].residual_px / own_limit, views[i].dissent / dissent_limit), i});
         std::sort(worst.rbegin(), worst.rend());
-        size_t already = 0;
-        for (size_t i : s_.seen()) already += s_.bad(i);
-        const size_t most = s_.seen().size() / 4;
-        bool any = false;
+        for (const auto& [how, i] : worst) aligner_.trace("contradicts: %zu own %.2f (limit %.2f) dissent %.4f (limit %.4f)", i, views[i].residual_px, own_limit, views[i].dissent, dissent_limit);
+        std::vector<size_t> out = known;
         for (const auto& [how, i] : worst)
-            if (already < most) s_.set_bad(i, true), ++already, any = true;
-        return any;
+            if (how >= 0.3 * worst.front().first && out.size() < s_.seen().size() / 4) out.push_back(i);
+        std::sort(out.begin(), out.end());
+        return out;
     }
 
   private:
@@ -836,12 +868,38 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     out.mask_noise_px = aligner.mask_noise_px();
 
     // Bad silhouettes are named, and then ignored.
-    out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
-    for (int round = 0; round < 2 && judge.mark_bad(out.aligned); ++round) {
-        aligner.fit(c, aligner.fine(c.rms_px()), 5);
-        RingAligner::trim(c.fit);
-        refine(c.fit, silhouettes, aligner.fine(c.rms_px()), progress);
-        out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
+    const auto judged = [&] {
+        CoherencePass pass = aligner.fine(c.typical_px());
+        pass.misses = c.misses;
+        return judge.views_of(c.fit.model, pass);
+    };
+    out.aligned = judged();
+    std::vector<size_t> bad = judge.contradicting(out.aligned, {});
+    for (int round = 0; round < 6 && !bad.empty(); ++round) {
+        for (size_t i : bad) silhouettes.set_bad(i, true);
+        CoherencePass again = aligner.coarse();
+        again.misses = c.misses;
+        aligner.fit(c, again, 6);
+        aligner.polish(c);
+        aligner.place_bad(c);
+        // Judged anew with all of them: others may fit now, or turn out to be wrong.
+        for (size_t i : silhouettes.seen()) silhouettes.set_bad(i, false);
+        out.aligned = judged();
+        // What contradicts the rest without having taken part stays out.
+        std::erase_if(bad, [&](size_t i) { return out.aligned[i].residual_px < 1 && out.aligned[i].dissent < 0.004; });
+        const std::vector<size_t> now = judge.contradicting(out.aligned, bad);
+        const bool settled = now == bad;
+        bad = now;
+        if (settled) break;
+    }
+    if (!bad.empty() || c.misses > 0) {
+        for (size_t i : bad) silhouettes.set_bad(i, true);
+        c.misses = 0;
+        aligner.polish(c);
+        aligner.place_bad(c);
+        const auto with_all = out.aligned;
+        out.aligned = judged();
+        for (size_t i : bad) out.aligned[i].dissent = with_all[i].dissent;
     }
     progress.step(1);
 
@@ -940,11 +998,18 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     out.rms_px = std::sqrt(sum / static_cast<double>(good));
     out.coherent = coherent / static_cast<double>(good);
     out.focal_px = m.focal_px(first);
-    out.elevation_deg = m.ring(0, OrbitModel::Elevation).value / kRadians;
+    // Of the camera above the object's middle; the model's own counts from the axis at any height.
+    const Outline outline = outline_of(c.fit);
+    std::vector<double> elevations;
+    for (size_t i : silhouettes.seen()) {
+        const Vec3d to = m.camera(i).centre - outline.middle;
+        elevations.push_back(std::asin(to.z() / to.norm()) / kRadians);
+    }
+    out.elevation_deg = median(elevations);
     out.principal_x_px = m.camera(first).cx;
     out.principal_y_px = m.camera(first).cy;
     for (const auto& [turn, other] : best)
-        if (turn != c.turn) out.other_direction_px = other.rms_px();
+        if (turn != c.turn) out.other_direction_px = other.typical_px();
     out.method = o.method;
     out.views = with_cameras(given, m);
     if (!sitting_of.empty()) set_sittings(out.views, m, sitting_of);
@@ -973,12 +1038,12 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
                                        "objects, or an orbit too far from what was assumed (--orbit, --fov)",
                                        out.rms_px, allowed_px));
     std::string names;
-    size_t bad = 0;
+    size_t out_of_it = 0;
     for (size_t i : silhouettes.seen())
-        if (silhouettes.bad(i) && bad++ < 6) names += (names.empty() ? "" : ", ") + given.views[i].name;
-    if (bad) out.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s%s. Remedy: look at their masks", bad, names.c_str(), bad > 6 ? " …" : ""));
-    if (bad >= silhouettes.seen().size() / 4 && bad > 1) out.failures.push_back("a quarter of the silhouettes contradicts the others: which ones are wrong cannot be told");
-    const bool mirrored_alike = o.method == AlignMethod::Coherence && o.direction == Turn::Auto && out.other_direction_px < 3 * out.rms_px + 0.1;
+        if (silhouettes.bad(i) && out_of_it++ < 6) names += (names.empty() ? "" : ", ") + given.views[i].name;
+    if (out_of_it) out.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s%s. Remedy: look at their masks", out_of_it, names.c_str(), out_of_it > 6 ? " …" : ""));
+    if (out_of_it >= silhouettes.seen().size() / 4 && out_of_it > 1) out.failures.push_back("a quarter of the silhouettes contradicts the others: which ones are wrong cannot be told");
+    const bool mirrored_alike = o.method == AlignMethod::Coherence && o.direction == Turn::Auto && out.other_direction_px < 3 * c.typical_px() + 0.1;
     if (!out.angles_observable)
         out.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "
                                        "Remedy: texture with --method refine, or a marker mat",
@@ -1004,7 +1069,9 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
     double scale = 1;
     const std::vector<Camera> cameras = r.views.cameras();
     if (o.known_distance > 0) {
-        const Vec3d middle = look_at_point(cameras).value_or(Vec3d::Zero());
+        Box3d outline;
+        for (const auto& t : r.touches_world) outline.extend(Vec3d(t[0], t[1], t[2]));
+        const Vec3d middle = outline.isEmpty() ? Vec3d::Zero().eval() : Vec3d(outline.center());
         std::vector<double> distances;
         for (size_t i = 0; i < cameras.size(); ++i)
             if (!masks[i].coverage.empty()) distances.push_back((cameras[i].centre_world() - middle).norm());

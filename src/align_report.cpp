@@ -47,7 +47,7 @@ std::string alignment_json(const AlignResult& r) {
                                 {"residual_px", v.residual_px},
                                 {"residual_p95_px", v.residual_p95_px},
                                 {"coherent_share", v.coherent},
-                                {"blame_px", v.blame_px},
+                                {"dissent_share", v.dissent},
                                 {"bad", v.bad},
                                 {"azimuth_deg", v.azimuth_deg},
                                 {"azimuth_spread_deg", v.azimuth_spread_deg}});

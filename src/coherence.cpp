@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 
 namespace vdbcarve {
@@ -100,6 +101,7 @@ class LineSearch {
     std::vector<Trace> traces;  ///< in the order of views
     float resolution = 1;       ///< pixels: intervals in which no point moves farther are not halved again
     float enough = 0;           ///< pixels: the search ends below
+    int misses = 0;             ///< so many of the largest distances do not count
 
     Touch run(float middle, float half_length, const Touch* before) {
         Touch out;
@@ -138,37 +140,51 @@ class LineSearch {
     /// Takes t where the largest distance there is less than what was found before. What decides against it is asked first next time.
     void ask(float t) {
         float most = -std::numeric_limits<float>::infinity();
+        int against = 0;
         for (size_t k = 0; k < order_.size(); ++k) {
             const float s = traces[static_cast<size_t>(order_[k])].distance(t);
             if (s >= best_) {
                 std::swap(order_[k], order_[k / 2]);
-                return;
+                if (++against > misses) return;
+                continue;
             }
             most = std::max(most, s);
         }
-        best_ = most;
+        best_ = against == misses ? most : largest_but(misses, t);
         at_ = t;
+    }
+
+    /// The largest distance but for so many larger ones.
+    float largest_but(int left_out, float t) {
+        values_.resize(traces.size());
+        for (size_t k = 0; k < traces.size(); ++k) values_[k] = traces[k].distance(t);
+        const auto nth = values_.begin() + std::min<long>(left_out, static_cast<long>(values_.size()) - 1);
+        std::nth_element(values_.begin(), nth, values_.end(), std::greater<>());
+        return static_cast<float>(*nth);
     }
 
     /// Rules an interval out, or leaves its halves to be looked at.
     void halve(const Interval i) {
         const auto begin = static_cast<size_t>(i.first);
-        float largest = -std::numeric_limits<float>::infinity(), farthest = 0;
+        float farthest = 0;
+        int against = 0, above = 0;
         const size_t list = lists_.size();
         for (size_t k = begin; k < begin + static_cast<size_t>(i.count); ++k) {
             float moves;
             const int which = lists_[k];
             const float s = traces[static_cast<size_t>(which)].distance(i.middle, i.half, moves);
+            above += s >= best_;
             if (s - moves >= best_) {
                 std::swap(lists_[k], lists_[begin + (k - begin) / 2]);
-                lists_.resize(list);
-                return;
+                if (++against > misses) {
+                    lists_.resize(list);
+                    return;
+                }
             }
-            largest = std::max(largest, s);
             farthest = std::max(farthest, moves);
             if (s + moves > enough) lists_.push_back(which);
         }
-        if (largest < best_) ask(i.middle);  // with those left out above
+        if (above <= misses) ask(i.middle);  // with those left out above
         if (farthest < resolution || intervals_.size() > 4000) return;
         const int count = static_cast<int>(lists_.size() - list);
         intervals_.push_back({i.middle - 0.5f * i.half, 0.5f * i.half, static_cast<int>(list), count});
@@ -180,11 +196,12 @@ class LineSearch {
         constexpr double kNear_px = 4;
         std::vector<int>& near = lists_;
         near.clear();
+        const double top = misses > 0 ? largest_but(misses, at_) : best_;
         values_.resize(traces.size());
-        double top = kSaysNothing;
-        for (size_t k = 0; k < traces.size(); ++k) top = std::max(top, values_[k] = traces[k].distance(at_));
+        for (size_t k = 0; k < traces.size(); ++k) values_[k] = traces[k].distance(at_);
         for (size_t k = 0; k < traces.size(); ++k)
-            if (values_[k] > top - kNear_px * resolution) near.push_back(static_cast<int>(k));
+            if (values_[k] > top - kNear_px * resolution && values_[k] <= top) near.push_back(static_cast<int>(k));
+        if (near.empty()) return;
         slopes_.resize(near.size());
         for (int pass = 0; pass < 4 && best_ > enough; ++pass) {
             for (size_t k = 0; k < near.size(); ++k) {
@@ -274,6 +291,7 @@ std::vector<Touch> find_touches(const std::vector<CoherenceView>& views, const s
         LineSearch search;
         search.resolution = static_cast<float>(options.resolution_px);
         search.enough = -static_cast<float>(options.margin_px);
+        search.misses = options.misses;
         for (size_t p = range.begin(); p != range.end(); ++p) {
             const auto own = static_cast<size_t>(points[p].view);
             const OrbitCamera& camera = cameras[own];
@@ -297,7 +315,7 @@ Vec3d touch_position(const OrbitCamera& camera, const ContourPoint& point, doubl
     return camera.centre + depth * (camera.camera_from_world.transpose() * sight(camera, point));
 }
 
-std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point, const Touch& touch, double reach_px, size_t most) {
+std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point, const Touch& touch, double reach_px, size_t most, int misses) {
     const OrbitCamera& own = cameras[static_cast<size_t>(point.view)];
     const Vec3d m = sight(own, point), along = own.camera_from_world.transpose() * m;
     const Vec3d position = own.centre + touch.depth * along;
@@ -334,6 +352,7 @@ std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const 
         out.push_back(s);
     }
     std::stable_sort(out.begin(), out.end(), [](const Support& a, const Support& b) { return a.distance_px > b.distance_px; });
+    out.erase(out.begin(), out.begin() + std::min<long>(misses, std::max<long>(0, static_cast<long>(out.size()) - 1)));
     size_t kept = 0;
     while (kept < out.size() && kept < most && out[kept].distance_px >= out[0].distance_px - reach_px) ++kept;
     out.resize(kept);

@@ -45,6 +45,7 @@ struct SearchOptions {
     double ball_radius = 1;    ///< bounds the object around the origin, world units
     double margin_px = 0;      ///< how far below zero residuals are to be known
     double resolution_px = 1;  ///< narrower wells than this may be missed
+    int misses = 0;            ///< so many silhouettes may say otherwise: the (misses + 1)-th largest distance counts instead of the largest
 };
 
 /// Touches of all points, by branch and bound. `before` (same size, or empty) holds those of a nearby state, from which the search starts.
@@ -62,8 +63,8 @@ struct Support {
     double by_view[kCameraDirections] = {};    ///< by the silhouette's
 };
 
-/// All silhouettes within `reach_px` of the farthest at the touch, at most `most`, the farthest first.
-std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point, const Touch& touch, double reach_px, size_t most);
+/// All silhouettes within `reach_px` of the farthest at the touch, at most `most`, the farthest first; the `misses` farthest of all do not count.
+std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point, const Touch& touch, double reach_px, size_t most, int misses = 0);
 
 /// The least over |t| <= reach of max over lines of (values[i] + slopes[i] t): the one or two lines that hold it there, at which t.
 struct Minimax {

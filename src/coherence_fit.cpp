@@ -79,7 +79,7 @@ std::vector<Row> rows_of(const CoherenceFit& f, const std::vector<CoherenceView>
             Row& row = rows[p];
             row.residual_px = f.touches[p].residual_px;
             if (std::isnan(row.residual_px) || row.residual_px <= -pass.margin_px) continue;
-            const std::vector<Support> supports = supports_of(views, cameras, f.points[p], f.touches[p], pass.support_px, 8);
+            const std::vector<Support> supports = supports_of(views, cameras, f.points[p], f.touches[p], pass.support_px, 8, pass.misses);
             const auto add = [&](size_t support, const double* by_camera, size_t camera) {
                 for (const CameraColumn& column : columns[camera]) {
                     double sum = 0;
@@ -188,6 +188,17 @@ double CoherenceFit::rms_px() const {
     return n ? std::sqrt(sum / static_cast<double>(n)) : 0;
 }
 
+double CoherenceFit::typical_px() const {
+    std::vector<double> positive;
+    for (const Touch& t : touches)
+        if (!std::isnan(t.residual_px)) positive.push_back(std::max(0.0, t.residual_px));
+    std::sort(positive.begin(), positive.end());
+    positive.resize(positive.size() - positive.size() * 15 / 100);
+    double sum = 0;
+    for (double r : positive) sum += square(r);
+    return positive.empty() ? 0 : std::sqrt(sum / static_cast<double>(positive.size()));
+}
+
 Silhouettes::Silhouettes(const std::vector<MaskView>& masks) : masks_(masks), extents_(masks.size()), bad_(masks.size(), false), views_(masks.size()) {
     std::vector<double> sizes;
     for (size_t i = 0; i < masks.size(); ++i) {
@@ -224,7 +235,7 @@ const std::vector<CoherenceView>& Silhouettes::at_scale(int scale) {
     return views_;
 }
 
-std::vector<ContourPoint> Silhouettes::contour(int scale, size_t count, uint64_t seed, int sectors) {
+std::vector<ContourPoint> Silhouettes::contour(int scale, size_t count, uint64_t seed, int sectors, Which which) {
     auto& contours = contours_[scale];
     if (contours.empty()) {
         const auto& all = fields(scale);
@@ -237,6 +248,7 @@ std::vector<ContourPoint> Silhouettes::contour(int scale, size_t count, uint64_t
     }
     std::vector<ContourPoint> out;
     for (size_t i : seen_) {
+        if (which != Which::All && bad_[i] != (which == Which::Bad)) continue;
         std::vector<ContourPoint> some = drawn(contours[i], sectors ? 2 * count : count, seed * 0x9e3779b97f4a7c15ULL + i);
         if (sectors)
             std::erase_if(some, [&](const ContourPoint& p) {
@@ -266,13 +278,13 @@ double ball_radius(const Silhouettes& silhouettes, const OrbitModel& m) {
 }
 
 std::vector<Touch> touches_of(Silhouettes& silhouettes, const OrbitModel& model, const std::vector<ContourPoint>& points, const CoherencePass& pass) {
-    return find_touches(silhouettes.at_scale(pass.scale), model.cameras(), points, {ball_radius(silhouettes, model), pass.margin_px, pass.resolution_px}, {});
+    return find_touches(silhouettes.at_scale(pass.scale), model.cameras(), points, {ball_radius(silhouettes, model), pass.margin_px, pass.resolution_px, pass.misses}, {});
 }
 
 void refine(CoherenceFit& f, Silhouettes& silhouettes, const CoherencePass& pass, Progress& progress) {
     const std::vector<CoherenceView>& views = silhouettes.at_scale(pass.scale);
     f.ball_radius = ball_radius(silhouettes, f.model);
-    const SearchOptions search{f.ball_radius, pass.margin_px, pass.resolution_px};
+    const SearchOptions search{f.ball_radius, pass.margin_px, pass.resolution_px, pass.misses};
     f.touches = find_touches(views, f.model.cameras(), f.points, search, {});
     f.cost = cost_of(f, pass);
     const std::vector<size_t> free = f.model.free();

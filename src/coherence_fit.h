@@ -24,6 +24,7 @@ struct CoherencePass {
     double resolution_px = 0.75; ///< of the search along lines of sight
     double support_px = 1;       ///< silhouettes that are so near to the farthest may come to hold a residual within a step
     int turns = 8;               ///< of finding out which
+    int misses = 0;              ///< SearchOptions::misses
     double give_up_px = INFINITY;  ///< a pass that is still above after four iterations ends
 };
 
@@ -37,6 +38,8 @@ struct CoherenceFit {
 
     /// Root mean square of max(0, residual).
     double rms_px() const;
+    /// The same of the 85 % smallest: what it would be but for a few broken masks.
+    double typical_px() const;
 };
 
 /// Silhouettes with their distance fields at the scales that are asked for.
@@ -59,15 +62,16 @@ class Silhouettes {
     int height_px(size_t i) const { return views_[i].height_px; }
     bool cut(size_t i) const;                                  ///< by its frame
 
-    /// A bad silhouette constrains nobody; its own contour still has to find its place.
+    /// A bad silhouette constrains nobody.
     void set_bad(size_t i, bool bad) { bad_[i] = bad; }
     bool bad(size_t i) const { return bad_[i]; }
 
     /// The views as the search wants them.
     const std::vector<CoherenceView>& at_scale(int scale);
-    /// Contour points of all views, `count` of each. Sectors (0: all): only those in even (1) or odd (2) sectors of 30 degrees around the
+    /// Contour points of views, `count` of each. Sectors (0: all): only those in even (1) or odd (2) sectors of 30 degrees around the
     /// silhouette's middle.
-    std::vector<ContourPoint> contour(int scale, size_t count, uint64_t seed, int sectors = 0);
+    enum class Which { Good, Bad, All };
+    std::vector<ContourPoint> contour(int scale, size_t count, uint64_t seed, int sectors = 0, Which which = Which::Good);
 
   private:
     const std::vector<DistanceField>& fields(int scale);

@@ -94,6 +94,15 @@ Component largest_component(ImageView<uint8_t> image) {
     return out;
 }
 
+void stamp(Image8& image, const std::string& word) {
+    cv::Mat m(image.height, image.width, CV_8UC(image.channels), image.data.data());
+    int below = 0;
+    const double scale = 0.8 * image.width / cv::getTextSize(word, cv::FONT_HERSHEY_SIMPLEX, 1, 3, &below).width;
+    const int thickness = std::max(2, static_cast<int>(2 * scale));
+    const cv::Size size = cv::getTextSize(word, cv::FONT_HERSHEY_SIMPLEX, scale, thickness, &below);
+    cv::putText(m, word, {(image.width - size.width) / 2, (image.height + size.height) / 2}, cv::FONT_HERSHEY_SIMPLEX, scale, cv::Scalar(230, 40, 40, 255), thickness, cv::LINE_AA);
+}
+
 Image8 downscale(ImageView<uint8_t> image, int width, int height) {
     cv::Mat out;
     cv::resize(wrap(image), out, cv::Size(width, height), 0, 0, cv::INTER_AREA);

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <filesystem>
+#include <string>
 #include <vector>
 
 #include "vdbcarve/geometry.h"
@@ -49,6 +50,9 @@ Component largest_component(ImageView<uint8_t> image);
 /// thin, at most kThinHalfWidth_px to its border: one pixel wide lines.
 inline constexpr int kThinHalfWidth_px = 10;
 std::vector<std::array<int, 2>> skeleton_near(ImageView<uint8_t> coverage, ImageView<uint8_t> marked);
+
+/// Writes a word across the picture, red, so that nobody takes it for something else.
+void stamp(Image8& image, const std::string& word);
 
 /// Smaller copy by area averaging.
 Image8 downscale(ImageView<uint8_t> image, int width, int height);

@@ -212,10 +212,8 @@ class Job {
         views_ = load_views(wanted, progress_);
         if (!views_.posed && o_.align.method == AlignMethod::Refine) throw UsageError("--method refine improves cameras, and " + o_.views.scene.string() + " has none. Remedy: --cameras FILE, or --method coherence");
         if (!views_.posed && o_.dry_run) throw UsageError("--dry-run: the scene has no cameras; what is to be carved is known once they are found. Remedy: vdbcarve align first");
-        if (o_.align_again) {
-            // Cameras whose masks are undistorted must keep their lens; everything else is found anew.
-            if (o_.align.method == AlignMethod::Coherence && views_.sittings.size() > 1) throw UsageError("align: the cameras' sittings would be lost. Remedy: --method refine, or --cameras none");
-        }
+        // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
+        if (o_.align_again && views_.sittings.size() > 1) throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
         if (o_.flat_base && up().empty()) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
         if (o_.stl_mm) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(std::to_string(views_.views.size()) + " views from " + views_.camera_file.string() + " (" + views_.format + ")");
@@ -1476,7 +1474,9 @@ class Job {
             if (v.lens.distorts()) photo = io::undistort(photo, v.camera.intrinsics, v.lens, nullptr);
             tiles[s].photo = std::move(photo);
         });
-        const auto png = io::encode_png(preview_sheet(mesh_, tiles));
+        Image8 sheet = preview_sheet(mesh_, tiles);
+        if (report_.contains("align") && !report_["align"]["verified"].get<bool>()) io::stamp(sheet, "UNVERIFIED");
+        const auto png = io::encode_png(sheet);
         write_file(file, png.data(), png.size());
     }
 

@@ -56,6 +56,17 @@ expect 0 'closed manifold' reconstruct scene --cameras ../"$(basename "$work")"/
 expect 0 '"event":"stage"' --json - reconstruct scene -o out4 --resolution 24
 check 'every line of --json - is a JSON object' test -z "$(grep -v '^{.*}$' stdout)"
 check 'the last line is the report' grep -q '"mesh"' <(tail -n 1 stdout)
+# Cameras from silhouettes.
+expect 0 '16 views' synth ellipsoids -o turn --views 16 --width 320 --height 240
+expect 0 'cameras found: turntable' align turn --cameras none -o aligned --known-distance 300 --units mm
+check 'cameras and a picture of the orbit' test -s aligned/cameras.json -a -s aligned/orbit.svg -a -s aligned/preview.png
+expect 0 'median IoU 0.99' check turn --cameras ../"$(basename "$work")"/aligned/cameras.json
+expect 2 '2 angles for 16 views' align turn --cameras none --angles 0,10 -o elsewhere
+expect 2 'improves cameras' align turn --cameras none --method refine -o elsewhere
+expect 2 'none of coherence, refine' align turn --method magic -o elsewhere
+expect 2 'whole numbers of views' align turn --cameras none --rings 8.5,7.5 -o elsewhere
+expect 5 'UNVERIFIED' align turn --cameras none --direction ccw --fov 30 --restarts 0 -o wrong
+check 'what is not verified is shown' test -s wrong/preview.png
 # Whatever vectors the machine has.
 for set in generic avx2 avx512; do
   if VDBCARVE_SIMD=$set "$program" --quiet reconstruct scene -o "out_$set" --resolution 40 2>stderr; then
@@ -196,7 +207,7 @@ expect 3 'fx is -1' reconstruct broken2 -o bad
 cp -r scene broken3 && cp broken3/images/0001.png broken3/masks/0001.png
 expect 3 'masks/0001.png: is coloured' reconstruct broken3 -o bad
 mkdir empty
-expect 3 'no cameras found' reconstruct empty -o bad
+expect 3 'neither cameras nor photographs' reconstruct empty -o bad
 check 'no failed run left a result' test ! -e bad/mesh.ply
 
 # Interrupted, then resumed.

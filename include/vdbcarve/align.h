@@ -66,7 +66,7 @@ struct AlignedView {
     double residual_before_px = 0, residual_px = 0;  ///< rms over contour points of max(0, distance outside the others' hull)
     double residual_p95_px = 0;
     double coherent = 0;                             ///< share of contour points within half a pixel of it
-    double blame_px = 0;                             ///< rms of the others' residuals that its silhouette holds up
+    double dissent = 0;                              ///< share of the others' contour points that its silhouette pushes out of the hull by more than a little
     bool bad = false;                                ///< its silhouette contradicts the others': it constrained nobody
     double azimuth_deg = 0;
     double azimuth_spread_deg = 0;                   ///< over restarts
