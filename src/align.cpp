@@ -22,7 +22,8 @@ namespace vdbcarve {
 
 namespace {
 
-constexpr double kRadians = std::numbers::pi / 180, kTwoPi = 2 * std::numbers::pi;
+constexpr double kRadians = std::numbers::pi / 180;
+constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's is no lens but a flight from perspective
 
 double square(double x) { return x * x; }
 
@@ -958,7 +959,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     progress.step(2);
 
     const double limit_spread_deg = std::max(0.5, 3 * c.rms_px() / (0.5 * silhouettes.size_px()) / kRadians);
-    if (out.azimuth_spread_deg > limit_spread_deg) {
+    if (out.azimuth_spread_deg > limit_spread_deg && std::fabs(c.fit.model.global(OrbitModel::LnFocal).value) < kMostLnFocal) {
         out.angles_observable = false;
         if (c.orbit != Orbit::Turntable) {
             // Nothing says what the angles are: those that were meant are as good as any.
@@ -1056,7 +1057,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
                 for (size_t i = 0; i < given.views.size(); ++i) out.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
     }
     const double ln_focal = m.global(OrbitModel::LnFocal).value;
-    if (std::fabs(ln_focal) > 1.5)
+    if (std::fabs(ln_focal) > kMostLnFocal)
         out.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out.focal_px, out.focal_start_px));
     else if (out.focal_spread > 0.05)
         out.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out.focal_spread));

@@ -404,7 +404,7 @@ class Job {
             place_alignment(fs::exists(other_file) ? other_file : fs::path());
             finish();
         }
-        throw UndeterminedError(why + ". " + (o_.output / "preview.png").string() + " shows what the cameras found would make, UNVERIFIED; --accept-unobservable goes on with it");
+        throw UndeterminedError(why + (fs::exists(o_.output / "preview.png") ? ". " + (o_.output / "preview.png").string() + " shows what the cameras found would make, UNVERIFIED;" : ".") + " --accept-unobservable goes on with them");
     }
 
     /// Cameras and sittings from a file of ours about the same views.
@@ -439,9 +439,12 @@ class Job {
         for (const View& v : views_.views) names.push_back(v.name);
         for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
         const auto sheet = [&](const Views& views, const fs::path& file) {
+            fs::remove(file);  // an earlier run's
             try {
                 mesh_ = extract_mesh(*coarse_hull(names, views.cameras(), masks, 192, o_.min_seen, progress_), {}, progress_);
-            } catch (const ContradictionError& e) {
+            } catch (const Interrupted&) {
+                throw;
+            } catch (const Error& e) {  // there may be no hull, of cameras that are wrong
                 progress_.warn(std::string("no preview: ") + e.what());
                 return;
             }
