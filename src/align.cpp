@@ -2,7 +2,6 @@
 #include "vdbcarve/align.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdarg>
 #include <cstdio>
@@ -287,13 +286,20 @@ class RingAligner {
         // Where the speed changed smoothly is now known well enough for single views to take over.
         fit(c, robust(middle()), 2);
         const double after_middle = c.rms_px();
-        trace("middle %.4f", after_middle);
         fit(c, robust(fine(c.misses ? c.typical_px() : after_middle)), 3);
-        trace("fine %.4f", c.rms_px());
         trim(c.fit);
         const double rms = c.rms_px();
         if (rms < 0.5 * after_middle) refine(c.fit, silhouettes_, robust(fine(rms)), progress_);
         trace("%s %s polished: %.4f px after %.4f, f %.1f", name_of(c.orbit), name_of(c.turn), c.rms_px(), after_middle, c.fit.model.focal_px(silhouettes_.seen().front()));
+    }
+
+    /// Optimises anew after silhouettes were taken out or in.
+    void settle(Candidate& c) {
+        CoherencePass pass = coarse();
+        pass.misses = c.misses;
+        fit(c, pass, 6);
+        polish(c);
+        place_bad(c);
     }
 
     /// Cameras of bad silhouettes, from what of their contours is right: they move alone.
@@ -444,15 +450,14 @@ class RingAligner {
         return out;
     }
 
+    /// Said with --verbose.
     void trace(const char* format, ...) const __attribute__((format(printf, 2, 3))) {
-        if (!std::getenv("VDBCARVE_TRACE")) return;
-        static const auto t0 = std::chrono::steady_clock::now();
-        std::fprintf(stderr, "%6.2f ", std::chrono::duration<double>(std::chrono::steady_clock::now() - t0).count());
+        char text[300];
         va_list arguments;
         va_start(arguments, format);
-        std::vfprintf(stderr, format, arguments);
-        std::fputc('\n', stderr);
+        std::vsnprintf(text, sizeof text, format, arguments);
         va_end(arguments);
+        progress_.detail(text);
     }
 
   private:
@@ -551,11 +556,11 @@ class Judge {
 
     /// Views whose silhouettes contradict the others': those that are not much less bad than the worst, for a bad silhouette drags its
     /// neighbours along. At most a quarter of all.
-    std::vector<size_t> contradicting(const std::vector<AlignedView>& views, const std::vector<size_t>& known) const {
+    std::vector<size_t> contradicting(const std::vector<AlignedView>& views, const std::vector<size_t>& known, bool robust) const {
         std::vector<double> own, dissent;
         for (size_t i : s_.seen()) own.push_back(views[i].residual_px), dissent.push_back(views[i].dissent);
         // Real masks stray by a pixel here and there; that is what trimming points is for.
-        const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}), dissent_limit = std::clamp(5 * median(dissent), 0.008, 0.02);
+        const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}), dissent_limit = std::clamp(5 * median(dissent), 0.008, robust ? 0.02 : 1.0);
         std::vector<std::pair<double, size_t>> worst;
         for (size_t i : s_.seen())
             if (!std::count(known.begin(), known.end(), i) && (views[i].residual_px > own_limit || views[i].dissent > dissent_limit)) worst.push_back({std::max(views[i].residual_px / own_limit, views[i].dissent / dissent_limit), i});
@@ -842,7 +847,6 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
 AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
     RingAligner aligner(given, masks, o, progress);
     Silhouettes& silhouettes = aligner.silhouettes();
-    aligner.trace("begin");
     progress.begin("align", 12);
     AlignResult out;
     RingAligner::Best best;
@@ -875,20 +879,16 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
         return judge.views_of(c.fit.model, pass);
     };
     out.aligned = judged();
-    std::vector<size_t> bad = judge.contradicting(out.aligned, {});
+    std::vector<size_t> bad = judge.contradicting(out.aligned, {}, c.misses > 0);
     for (int round = 0; round < 6 && !bad.empty(); ++round) {
         for (size_t i : bad) silhouettes.set_bad(i, true);
-        CoherencePass again = aligner.coarse();
-        again.misses = c.misses;
-        aligner.fit(c, again, 6);
-        aligner.polish(c);
-        aligner.place_bad(c);
+        aligner.settle(c);
         // Judged anew with all of them: others may fit now, or turn out to be wrong.
         for (size_t i : silhouettes.seen()) silhouettes.set_bad(i, false);
         out.aligned = judged();
         // What contradicts the rest without having taken part stays out.
         std::erase_if(bad, [&](size_t i) { return out.aligned[i].residual_px < 1 && out.aligned[i].dissent < 0.004; });
-        const std::vector<size_t> now = judge.contradicting(out.aligned, bad);
+        const std::vector<size_t> now = judge.contradicting(out.aligned, bad, c.misses > 0);
         const bool settled = now == bad;
         bad = now;
         if (settled) break;
@@ -896,8 +896,7 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     if (!bad.empty() || c.misses > 0) {
         for (size_t i : bad) silhouettes.set_bad(i, true);
         c.misses = 0;
-        aligner.polish(c);
-        aligner.place_bad(c);
+        aligner.settle(c);
         const auto with_all = out.aligned;
         out.aligned = judged();
         for (size_t i : bad) out.aligned[i].dissent = with_all[i].dissent;
@@ -978,7 +977,6 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
         }
     }
 
-    aligner.trace("judged");
     // Residuals before: of the start that the photographer's word gives.
     {
         const OrbitModel first = o.method == AlignMethod::Refine ? aligner.given_cameras(world_from_given) : aligner.start(c.orbit, c.turn, aligner.starts().front());
@@ -1031,7 +1029,6 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
         out.touches_world.push_back({static_cast<float>(back.x()), static_cast<float>(back.y()), static_cast<float>(back.z())});
     }
 
-    aligner.trace("before");
     // ---------------------------------------------------------------------------------- verdict
     const double allowed_px = std::max({1.0, silhouettes.size_px() / 400, 1.5 * out.mask_noise_px});
     if (out.rms_px > allowed_px)

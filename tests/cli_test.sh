@@ -67,6 +67,9 @@ expect 2 'none of coherence, refine' align turn --method magic -o elsewhere
 expect 2 'whole numbers of views' align turn --cameras none --rings 8.5,7.5 -o elsewhere
 expect 5 'UNVERIFIED' align turn --cameras none --direction ccw --fov 30 --restarts 0 -o wrong
 check 'what is not verified is shown' test -s wrong/preview.png
+expect 0 'at 100 %.*175.0 mm wide' board -o mat.pdf
+check 'the mat and its layout' test -s mat.pdf -a -s mat.pdf.json
+expect 2 'odd' board --mat charuco:7x8:0.03:0.02 -o mat.png
 # Whatever vectors the machine has.
 for set in generic avx2 avx512; do
   if VDBCARVE_SIMD=$set "$program" --quiet reconstruct scene -o "out_$set" --resolution 40 2>stderr; then

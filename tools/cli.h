@@ -32,6 +32,7 @@ Command add_synth(CLI::App& program);
 Command add_info(CLI::App& program);
 Command add_clean(CLI::App& program);
 Command add_bench(CLI::App& program);
+Command add_board(CLI::App& program);
 Command add_check(CLI::App& program);
 Command add_evaluate(CLI::App& program);
 Command add_export(CLI::App& program);

@@ -108,7 +108,7 @@ int run_program(const std::vector<std::string>& words) {
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
     std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_bench(program),
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_bench(program), cli::add_board(program),
                                        cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
                                        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
                                        cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
@@ -147,6 +147,7 @@ int run_program(const std::vector<std::string>& words) {
         spdlog::log(level, "{}", text);
     };
     progress.on_note = [&](const std::string& text) { say(spdlog::level::info, text); };
+    progress.on_detail = [&](const std::string& text) { say(spdlog::level::debug, text); };
     progress.on_warning = [&](const std::string& text) { say(spdlog::level::warn, text); };
     if (isatty(STDERR_FILENO) && !common.quiet) progress.on_progress = [&](const std::string& stage, double share) { bar.show(stage, share); };
 

@@ -18,6 +18,8 @@ class Progress {
     std::function<void(const std::string& stage, double share)> on_progress;
     /// Called with a sentence for the log.
     std::function<void(const std::string& note)> on_note;
+    /// Called with what only somebody who looks for a fault wants to read.
+    std::function<void(const std::string& detail)> on_detail;
     /// Called with a sentence that the user ought to see; also kept in warnings().
     std::function<void(const std::string& warning)> on_warning;
 
@@ -42,6 +44,10 @@ class Progress {
     void note(const std::string& text) {
         std::lock_guard lock(mutex_);
         if (on_note) on_note(text);
+    }
+    void detail(const std::string& text) {
+        std::lock_guard lock(mutex_);
+        if (on_detail) on_detail(text);
     }
     void warn(const std::string& text) {
         std::lock_guard lock(mutex_);
