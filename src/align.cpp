@@ -15,7 +15,6 @@
 #include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/evaluate.h"
-#include "vdbcarve/export.h"
 
 namespace vdbcarve {
 
@@ -353,9 +352,6 @@ class RingAligner {
     /// So many silhouettes may be wrong and the rest still bounds the object from all sides.
     int robust_misses() const { return n_ < 14 ? 0 : static_cast<int>(std::lround(0.08 * static_cast<double>(n_))); }
 
-    /// How many starts led to the same cameras.
-    int agreeing() const { return agreeing_; }
-
     /// The best explanation in each direction; the rungs that were tried.
     Best run(std::vector<AlignRung>& rungs) {
         const std::vector<Start> all = starts();
@@ -484,7 +480,7 @@ class RingAligner {
     Silhouettes silhouettes_;
     size_t n_;
     double mask_noise_px_ = 0;
-    int agreeing_ = 0;
+    int agreeing_ = 0;  ///< starts that led to the same cameras
 };
 
 void check_options(const AlignOptions& o, size_t views, size_t masks) {
@@ -604,16 +600,8 @@ void set_sittings(Views& views, const OrbitModel& m, const std::vector<int>& sit
             const auto r = static_cast<size_t>(m.ring_of(i));
             Sitting s;
             s.id = std::to_string(sitting);
-            Vec3d turn, shift;
-            for (int a = 0; a < 3; ++a) {
-                turn[a] = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingTurn + a)).value;
-                shift[a] = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingShift + a)).value;
-            }
             // The first sitting's world is the scene.
-            if (sitting > 0) {
-                if (turn.norm() > 0) s.scene_from_sitting.rotation = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix();
-                s.scene_from_sitting.translation = shift;
-            }
+            if (sitting > 0) s.scene_from_sitting = m.scene_from_ring(r);
             views.sittings.push_back(s);
         }
         View& v = views.views[i];
@@ -989,7 +977,6 @@ AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, c
     const size_t first = silhouettes.seen().front();
     out.orbit = c.orbit;
     out.direction = c.turn;
-    std::vector<double> squares;
     double sum = 0, coherent = 0;
     size_t good = 0;
     for (size_t i : silhouettes.seen())

@@ -214,8 +214,6 @@ Silhouettes::Silhouettes(const std::vector<MaskView>& masks) : masks_(masks), ex
     size_px_ = median(sizes);
 }
 
-bool Silhouettes::cut(size_t i) const { return std::any_of(std::begin(views_[i].open), std::end(views_[i].open), [](bool side) { return side; }); }
-
 const std::vector<DistanceField>& Silhouettes::fields(int scale) {
     auto& out = fields_[scale];
     if (out.empty()) {

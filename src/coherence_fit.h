@@ -60,7 +60,6 @@ class Silhouettes {
     double size_px() const { return size_px_; }                ///< of the object, median
     int width_px(size_t i) const { return views_[i].width_px; }
     int height_px(size_t i) const { return views_[i].height_px; }
-    bool cut(size_t i) const;                                  ///< by its frame
 
     /// A bad silhouette constrains nobody.
     void set_bad(size_t i, bool bad) { bad_[i] = bad; }

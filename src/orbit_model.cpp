@@ -22,8 +22,14 @@ OrbitModel::OrbitModel(std::vector<OrbitView> views, int rings) : views_(std::mo
     all_.resize(first_of_views() + views_.size() * kViewParts);
 }
 
-void OrbitModel::reverse() {
-    for (OrbitView& v : views_) v.azimuth_rad = -v.azimuth_rad;
+Rigid3 OrbitModel::scene_from_ring(size_t r) const {
+    Vec3d turn, shift;
+    for (int a = 0; a < 3; ++a) {
+        turn[a] = ring(r, static_cast<RingPart>(SittingTurn + a)).value;
+        shift[a] = ring(r, static_cast<RingPart>(SittingShift + a)).value;
+    }
+    const double angle = turn.norm();
+    return {angle > 0 ? Eigen::AngleAxisd(angle, turn / angle).toRotationMatrix() : Mat3d::Identity().eval(), shift};
 }
 
 double OrbitModel::azimuth(size_t i) const {
@@ -64,14 +70,9 @@ OrbitCamera OrbitModel::camera(size_t i) const {
     look.row(1) = Vec3d(se * cp, se * sp, -ce);         // down
     look.row(2) = Vec3d(-ce * cp, -ce * sp, -se);       // forwards, to the axis
     out.camera_from_world = (roll * tilt * pan).toRotationMatrix() * look;
-    const Vec3d turn(ring(r, SittingTurn).value, ring(r, static_cast<RingPart>(SittingTurn + 1)).value, ring(r, static_cast<RingPart>(SittingTurn + 2)).value);
-    const Vec3d shift(ring(r, SittingShift).value, ring(r, static_cast<RingPart>(SittingShift + 1)).value, ring(r, static_cast<RingPart>(SittingShift + 2)).value);
-    if (!turn.isZero() || !shift.isZero()) {
-        const double angle = turn.norm();
-        const Mat3d scene_from_sitting = angle > 0 ? Eigen::AngleAxisd(angle, turn / angle).toRotationMatrix() : Mat3d::Identity().eval();
-        out.camera_from_world = out.camera_from_world * scene_from_sitting.transpose();
-        out.centre = scene_from_sitting * out.centre + shift;
-    }
+    const Rigid3 scene = scene_from_ring(r);
+    out.camera_from_world = out.camera_from_world * scene.rotation.transpose();
+    out.centre = scene * out.centre;
     return out;
 }
 

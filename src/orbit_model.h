@@ -85,10 +85,8 @@ class OrbitModel {
     const Parameter& of(size_t i, ViewPart which) const { return const_cast<OrbitModel*>(this)->of(i, which); }
     const Parameter& harmonic(int which) const { return const_cast<OrbitModel*>(this)->harmonic(which); }
 
-    /// Nominal azimuths run the other way round.
-    void reverse();
-    /// Moves a view's start: the nominal azimuth.
-    void set_azimuth(size_t i, double rad) { views_[i].azimuth_rad = rad; }
+    /// How a ring's own world lies in the scene.
+    Rigid3 scene_from_ring(size_t r) const;
     double azimuth(size_t i) const;  ///< rad, all parts together
     double focal_px(size_t i) const;
 

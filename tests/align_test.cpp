@@ -180,6 +180,15 @@ struct Searched {
     }
 };
 
+/// Turns every camera a little.
+void disturb(std::vector<OrbitCamera>& cameras, double rad, std::mt19937& random) {
+    std::normal_distribution<double> normal;
+    for (OrbitCamera& c : cameras) {
+        const Vec3d turn = rad * Vec3d(normal(random), normal(random), normal(random));
+        c.camera_from_world = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix() * c.camera_from_world;
+    }
+}
+
 /// Largest distance of a point on the line of sight to the other silhouettes, from whole-image distance fields.
 double largest_distance(const Searched& s, const std::vector<ImageF>& whole, const ContourPoint& p, double depth) {
     const Vec3d x = touch_position(s.cameras[static_cast<size_t>(p.view)], p, depth);
@@ -201,11 +210,7 @@ TEST(Coherence, BranchAndBoundFindsWhatADenseSearchFinds) {
     Searched s;
     // Cameras somewhat wrong, so that residuals are of all sizes.
     std::mt19937 random(6);
-    std::normal_distribution<double> normal;
-    for (OrbitCamera& c : s.cameras) {
-        const Vec3d turn = 0.004 * Vec3d(normal(random), normal(random), normal(random));
-        c.camera_from_world = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix() * c.camera_from_world;
-    }
+    disturb(s.cameras, 0.004, random);
     std::vector<ImageF> whole;
     for (const Mask& m : s.scene.masks) whole.push_back(signed_distance(m.coverage));
     const SearchOptions options{1.6, 0.5, 0.5};
@@ -234,11 +239,8 @@ TEST(Coherence, BranchAndBoundFindsWhatADenseSearchFinds) {
 TEST(Coherence, SupportsPredictResiduals) {
     Searched s;
     std::mt19937 random(7);
+    disturb(s.cameras, 0.006, random);
     std::normal_distribution<double> normal;
-    for (OrbitCamera& c : s.cameras) {
-        const Vec3d turn = 0.006 * Vec3d(normal(random), normal(random), normal(random));
-        c.camera_from_world = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix() * c.camera_from_world;
-    }
     const SearchOptions options{1.6, 0.2, 0.3};
     const std::vector<Touch> before = find_touches(s.views, s.cameras, s.points, options, {});
     std::vector<OrbitCamera> moved = s.cameras;

@@ -52,7 +52,7 @@ struct AlignOptions {
     std::optional<Vec2d> principal_point_px;  ///< known; none: near the images' middle, or what the cameras say
     bool focal_varies = false;          ///< every view has its own focal length, near the others' (focus breathing)
     bool centre_varies = false;         ///< every view has its own principal point, near the others' (a stabiliser's crop)
-    double known_distance = 0;          ///< median, of the cameras from the axis' middle, in the units wanted; 0: unknown
+    double known_distance = 0;          ///< median, of the cameras from the object's middle, in the units wanted; 0: unknown
     double known_height = 0;            ///< of the object along the axis, likewise
     std::string units;                  ///< of known_distance or known_height; empty: arbitrary
     int points = 150;                   ///< contour points a view
@@ -115,7 +115,7 @@ AlignResult align(const Views& views, const std::vector<MaskView>& masks, const 
 /// What was found, for reports.
 std::string alignment_json(const AlignResult& result);
 
-/// The cameras and the object's outline from above, and heights over azimuth.
+/// The cameras and the object's outline from above.
 std::string orbit_svg(const AlignResult& result);
 
 }  // namespace vdbcarve
