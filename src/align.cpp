@@ -3,15 +3,19 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdarg>
-#include <cstdio>
 #include <map>
 #include <numbers>
+#include <numeric>
 #include <random>
+#include <openvdb/tools/RayIntersector.h>
 
+#include "align_mat.h"
+#include "align_paper.h"
 #include "coarse_hull.h"
 #include "coherence_fit.h"
+#include "feature_tracks.h"
 #include "statistics.h"
+#include "text.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/evaluate.h"
@@ -24,16 +28,6 @@ constexpr double kRadians = std::numbers::pi / 180;
 constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's is no lens but a flight from perspective
 
 double square(double x) { return x * x; }
-
-std::string text_of(const char* format, ...) __attribute__((format(printf, 1, 2)));
-std::string text_of(const char* format, ...) {
-    char text[600];
-    va_list arguments;
-    va_start(arguments, format);
-    std::vsnprintf(text, sizeof text, format, arguments);
-    va_end(arguments);
-    return text;
-}
 
 /// A way to explain the views, and how well it does.
 struct Candidate {
@@ -217,7 +211,7 @@ class RingAligner {
     std::vector<Start> starts() const {
         std::vector<Start> out;
         const std::vector<double> focals = focal_known() ? std::vector<double>{0} : std::vector<double>{0, -0.7, 0.6};
-        for (const double elevation : {8.0, 30.0})
+        for (const double elevation : {8.0, 30.0, 52.0})
             for (const double focal : focals) out.push_back({o_.arc_deg, focal, elevation * kRadians, false});
         if (!o_.angles_deg.empty()) return out;
         out.push_back({o_.arc_deg, 0, 12 * kRadians, true});
@@ -447,13 +441,9 @@ class RingAligner {
     }
 
     /// Said with --verbose.
-    void trace(const char* format, ...) const __attribute__((format(printf, 2, 3))) {
-        char text[300];
-        va_list arguments;
-        va_start(arguments, format);
-        std::vsnprintf(text, sizeof text, format, arguments);
-        va_end(arguments);
-        progress_.detail(text);
+    template <class... Arguments>
+    void trace(const char* format, Arguments... arguments) const {
+        progress_.detail(text_of(format, arguments...));
     }
 
   private:
@@ -488,7 +478,8 @@ void check_options(const AlignOptions& o, size_t views, size_t masks) {
     const auto need = [&](bool ok, const std::string& what) {
         if (!ok) wrong += (wrong.empty() ? "" : "; ") + what;
     };
-    need(masks == views, "align: as many masks as views are needed");
+    need(masks == views || o.method == AlignMethod::Mat, "align: as many masks as views are needed");
+    need((o.method == AlignMethod::Mat) == o.mat.has_value(), o.mat ? "--mat is of --method mat" : "--method mat: which mat? Remedy: --mat FILE, the layout that was written beside the print");
     need(o.angles_deg.empty() || o.angles_deg.size() == views, "--angles: " + std::to_string(o.angles_deg.size()) + " angles for " + std::to_string(views) + " views");
     for (const auto& [name, counts] : {std::pair{"--rings", &o.rings}, {"--sittings", &o.sittings}}) {
         int sum = 0;
@@ -502,8 +493,14 @@ void check_options(const AlignOptions& o, size_t views, size_t masks) {
     need(o.fov_deg >= 0 && o.fov_deg < 170, text_of("--fov: %g degrees, must be within 0..170", o.fov_deg));
     need(o.points >= 10 && o.points <= 5000, text_of("align: %d contour points a view, must be 10..5000", o.points));
     need(o.restarts >= 0 && o.restarts <= 20, text_of("--restarts: %d, must be 0..20", o.restarts));
-    need(o.method == AlignMethod::Coherence || (o.orbit == Orbit::Auto && o.direction == Turn::Auto && o.angles_deg.empty()), "--method refine starts from cameras: --orbit, --direction and --angles are of --method coherence");
-    need(o.known_distance >= 0 && o.known_height >= 0 && (o.known_distance == 0 || o.known_height == 0), "give one of --known-distance and --known-height, > 0");
+    const bool from_motion = o.method == AlignMethod::Coherence || o.method == AlignMethod::Paper;
+    need(from_motion || (o.orbit == Orbit::Auto && o.direction == Turn::Auto && o.angles_deg.empty() && o.rings.empty() && o.sittings.empty()),
+         text_of("--method %s: --orbit, --direction, --angles, --rings and --sittings are of --method coherence", name_of(o.method)));
+    need(o.method != AlignMethod::Paper || (o.orbit == Orbit::Auto && o.rings.empty() && o.sittings.empty()), "--method paper knows one turn of an object before a camera that stands: --orbit, --rings and --sittings are of --method coherence");
+    need(o.method == AlignMethod::Paper || (o.paper_views[0].empty() && o.paper_views[1].empty()), "--paper-views is of --method paper");
+    const int lengths = (o.known_distance != 0) + (o.known_height != 0) + o.known_length.has_value();
+    need(o.known_distance >= 0 && o.known_height >= 0 && lengths <= 1 && (!o.known_length || o.known_length->length > 0), "give one of --known-distance, --known-height and --known-length, > 0");
+    need(o.method != AlignMethod::Mat || lengths == 0, "--method mat: the mat gives the scale; --known-... would give another");
     if (!wrong.empty()) throw UsageError(wrong);
 }
 
@@ -832,221 +829,454 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
     return out;
 }
 
-AlignResult align_ring(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
-    RingAligner aligner(given, masks, o, progress);
-    Silhouettes& silhouettes = aligner.silhouettes();
-    progress.begin("align", 12);
-    AlignResult out;
-    RingAligner::Best best;
-    Similarity world_from_given;  // of Refine
-    std::vector<int> sitting_of;  // where there are several rings
-    if (o.method == AlignMethod::Refine) {
-        world_from_given = normalising(given.cameras());
-        Candidate near;
-        near.fit.model = aligner.given_cameras(world_from_given);
-        out.rungs.push_back({near.orbit, near.turn, 0, 0, static_cast<int>(near.fit.model.free().size())});
-        aligner.fit(near, aligner.coarse(), 1);
-        aligner.polish(near);
-        out.rungs.back().rms_px = near.rms_px();
-        best[near.turn] = std::move(near);
-        progress.step(8);
-    } else if (const std::vector<Group> groups = groups_of(o, given.views.size()); groups.size() > 1) {
-        best = join_groups(given, masks, o, groups, aligner, out.rungs, out.failures, progress);
-        for (const Group& g : groups) sitting_of.insert(sitting_of.end(), g.count, g.sitting);
-    } else {
-        best = aligner.run(out.rungs);
+/// Which of a direction's cameras make texture lie where it can be seen from.
+struct NearSide {
+    size_t matches = 0;
+    double share = 0;
+};
+NearSide near_side(const CoherenceFit& f, const std::vector<FeatureTrack>& tracks) {
+    const std::vector<OrbitCamera> cameras = f.model.cameras();
+    const Outline outline = outline_of(f);
+    NearSide out;
+    size_t near = 0;
+    for (const FeatureTrack& t : tracks) {
+        const TrackedPlace at = place_of(cameras, t);
+        if (!at.in_front || at.rms_px() > 3 || (at.place - outline.middle).norm() > 2.5 * outline.radius) continue;
+        Vec3d looking = Vec3d::Zero();
+        for (const Sighting& s : t.sightings) looking += cameras[static_cast<size_t>(s.view)].camera_from_world.row(2).transpose();
+        ++out.matches;
+        near += (at.place - outline.middle).dot(looking) < 0;
     }
-    Candidate c = RingAligner::lead(best);
-    Judge judge(aligner, given, o, progress);
-    out.mask_noise_px = aligner.mask_noise_px();
+    if (out.matches) out.share = static_cast<double>(near) / static_cast<double>(out.matches);
+    return out;
+}
 
-    // Bad silhouettes are named, and then ignored.
-    const auto judged = [&] {
-        CoherencePass pass = aligner.fine(c.typical_px());
-        pass.misses = c.misses;
-        return judge.views_of(c.fit.model, pass);
-    };
-    out.aligned = judged();
-    std::vector<size_t> bad = judge.contradicting(out.aligned, {}, c.misses > 0);
-    for (int round = 0; round < 6 && !bad.empty(); ++round) {
-        for (size_t i : bad) silhouettes.set_bad(i, true);
-        aligner.settle(c);
-        // Judged anew with all of them: others may fit now, or turn out to be wrong.
-        for (size_t i : silhouettes.seen()) silhouettes.set_bad(i, false);
-        out.aligned = judged();
-        // What contradicts the rest without having taken part stays out.
-        std::erase_if(bad, [&](size_t i) { return out.aligned[i].residual_px < 1 && out.aligned[i].dissent < 0.004; });
-        const std::vector<size_t> now = judge.contradicting(out.aligned, bad, c.misses > 0);
-        const bool settled = now == bad;
-        bad = now;
-        if (settled) break;
-    }
-    if (!bad.empty() || c.misses > 0) {
-        for (size_t i : bad) silhouettes.set_bad(i, true);
-        c.misses = 0;
-        aligner.settle(c);
-        const auto with_all = out.aligned;
-        out.aligned = judged();
-        for (size_t i : bad) out.aligned[i].dissent = with_all[i].dissent;
-    }
-    progress.step(1);
+/// One alignment by silhouettes, from what is given to the verdict.
+class Alignment {
+  public:
+    Alignment(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress)
+        : given_(given), masks_(masks), o_(o), progress_(progress), aligner_(given, masks, o, progress), silhouettes_(aligner_.silhouettes()), judge_(aligner_, given, o, progress) {}
 
-    // What the silhouettes leave open: the same result from disturbed angles?
-    std::mt19937_64 random(o.seed);
-    std::normal_distribution<double> normal;
-    CoherencePass quick = aligner.middle();
-    quick.sigma_px = std::clamp(2 * c.rms_px(), 0.1, 3.0);
-    quick.points = 50;
-    quick.iterations = 8;
-    Candidate home = c.orbit == Orbit::Turntable ? aligner.climbed(c, Orbit::FixedCamera) : c;
-    aligner.fit(home, quick, 41);
-    const auto azimuths = [&](const Candidate& x) {
-        std::vector<double> a;
-        double mean = 0;
-        for (size_t i : silhouettes.seen()) a.push_back(x.fit.model.azimuth(i) - home.fit.model.azimuth(i)), mean += a.back() / static_cast<double>(silhouettes.seen().size());
-        for (double& v : a) v = (v - mean) / kRadians;
-        return a;
-    };
-    std::vector<double> spread_squares(silhouettes.seen().size(), 0);
-    double focal_squares = 0;
-    int used = 0;
-    std::optional<Candidate> better;
-    for (int r = 0; r < o.restarts; ++r) {
-        Candidate x = home;
-        for (size_t i : silhouettes.seen()) x.fit.model.of(i, OrbitModel::Azimuth).value += 2.5 * kRadians * normal(random);
-        x.fit.model.global(OrbitModel::LnFocal).value += 0.05 * normal(random);
-        refine(x.fit, silhouettes, quick, progress);
-        aligner.trace("restart: %.4f px, at home %.4f, f %.1f", x.rms_px(), home.rms_px(), x.fit.model.focal_px(0));
-        if (x.rms_px() < 0.8 * home.rms_px() - 0.01) {
-            // It found a better place than it came from.
-            better = x;
+    AlignResult run() {
+        progress_.begin("align", 12);
+        out_.method = o_.method;
+        find();
+        out_.mask_noise_px = aligner_.mask_noise_px();
+        if (o_.method == AlignMethod::Paper) {
+            out_.aligned = judged();
+        } else {
+            name_bad();
+            disturb();
+            hold_unobservable();
+            find_symmetry();
         }
-        if (x.rms_px() > 2 * home.rms_px() + 0.1) continue;  // it did not come home: no evidence of freedom
-        ++used;
-        const std::vector<double> a = azimuths(x);
-        for (size_t k = 0; k < a.size(); ++k) spread_squares[k] += a[k] * a[k];
-        focal_squares += square(x.fit.model.global(OrbitModel::LnFocal).value - home.fit.model.global(OrbitModel::LnFocal).value);
+        describe();
+        judge();
+        progress_.step(1);
+        return std::move(out_);
     }
-    if (better && c.orbit != Orbit::Turntable) {
-        aligner.polish(*better);
-        if (better->rms_px() < c.rms_px()) {
-            c = *better;
-            out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
-        }
-    }
-    if (used > 0) {
-        double sum = 0;
-        for (size_t k = 0; k < spread_squares.size(); ++k) {
-            out.aligned[silhouettes.seen()[k]].azimuth_spread_deg = std::sqrt(spread_squares[k] / used);
-            sum += spread_squares[k] / used;
-        }
-        out.azimuth_spread_deg = std::sqrt(sum / static_cast<double>(spread_squares.size()));
-        out.focal_spread = std::sqrt(focal_squares / used);
-    }
-    progress.step(2);
 
-    const double limit_spread_deg = std::max(0.5, 3 * c.rms_px() / (0.5 * silhouettes.size_px()) / kRadians);
-    if (out.azimuth_spread_deg > limit_spread_deg && std::fabs(c.fit.model.global(OrbitModel::LnFocal).value) < kMostLnFocal) {
-        out.angles_observable = false;
-        if (c.orbit != Orbit::Turntable) {
-            // Nothing says what the angles are: those that were meant are as good as any.
-            Candidate held = c;
-            OrbitModel& m = held.fit.model;
-            m.global(OrbitModel::LnArc).hold(0);
-            for (int h = 0; h < OrbitModel::kHarmonics; ++h) m.harmonic(h).hold(0);
-            for (size_t i : silhouettes.seen()) m.of(i, OrbitModel::Azimuth).hold(0);
-            aligner.polish(held);
-            if (held.rms_px() < 1.5 * c.rms_px() + 0.05) {
-                c = held;
-                auto before = out.aligned;
-                out.aligned = judge.views_of(c.fit.model, aligner.fine(c.rms_px()));
-                for (size_t i = 0; i < before.size(); ++i) out.aligned[i].azimuth_spread_deg = before[i].azimuth_spread_deg;
+  private:
+    using Best = RingAligner::Best;
+
+    // ------------------------------------------------------------------------------------- cameras
+
+    void find() {
+        if (o_.method == AlignMethod::Refine) {
+            world_from_given_ = normalising(given_.cameras());
+            Candidate near;
+            near.fit.model = aligner_.given_cameras(world_from_given_);
+            out_.rungs.push_back({near.orbit, near.turn, 0, 0, static_cast<int>(near.fit.model.free().size())});
+            aligner_.fit(near, aligner_.coarse(), 1);
+            aligner_.polish(near);
+            if (o_.features) fit_features(near);
+            out_.rungs.back().rms_px = near.rms_px();
+            best_[near.turn] = std::move(near);
+            progress_.step(8);
+        } else if (o_.method == AlignMethod::Paper) {
+            for (const Turn turn : aligner_.turns()) {
+                Candidate c{{}, Orbit::FixedCamera, turn, 0};
+                const std::vector<OrbitView> nominal = aligner_.nominal(turn, o_.arc_deg);
+                PaperFit paper = fit_like_the_paper(masks_, silhouettes_, nominal, paper_views(given_, silhouettes_, nominal, o_.paper_views), progress_);
+                c.fit.model = paper.model;
+                const CoherencePass pass = aligner_.fine(1);
+                c.fit.points = silhouettes_.contour(pass.scale, pass.points, 3);
+                c.fit.touches = touches_of(silhouettes_, c.fit.model, c.fit.points, pass);
+                aligner_.trace("paper, %s: energy of the path %.4f, contours %.2f px outside", name_of(turn), paper.path_energy, c.rms_px());
+                if (best_.empty() || c.typical_px() < RingAligner::lead(best_).typical_px()) out_.picture = std::move(paper.energy_map);
+                out_.picture_name = "energy_map";
+                out_.rungs.push_back({c.orbit, turn, c.rms_px(), 0, static_cast<int>(3 * silhouettes_.seen().size() + 5)});
+                best_[turn] = std::move(c);
+                progress_.step(4);
+            }
+        } else if (const std::vector<Group> groups = groups_of(o_, given_.views.size()); groups.size() > 1) {
+            best_ = join_groups(given_, masks_, o_, groups, aligner_, out_.rungs, out_.failures, progress_);
+            for (const Group& g : groups) sitting_of_.insert(sitting_of_.end(), g.count, g.sitting);
+        } else {
+            best_ = aligner_.run(out_.rungs);
+        }
+        Turn turn = RingAligner::lead(best_).turn;
+        if (mirrored_alike(RingAligner::lead(best_)) && o_.features) turn = direction_by_features(turn);
+        c_ = best_[turn];
+    }
+
+    /// The other direction explains the silhouettes nearly as well.
+    bool mirrored_alike(const Candidate& c) const {
+        if (o_.method == AlignMethod::Refine || o_.direction != Turn::Auto || by_features_) return false;
+        return std::any_of(best_.begin(), best_.end(), [&](const auto& b) { return b.first != c.turn && b.second.typical_px() < 3 * c.typical_px() + 0.1; });
+    }
+
+    /// Texture moves with the side of the object that is seen, the near one: cameras that put it on the far side turn the wrong way.
+    Turn direction_by_features(Turn lead) {
+        std::vector<std::pair<size_t, size_t>> neighbours;
+        const std::vector<size_t>& seen = silhouettes_.seen();
+        for (size_t k = 0; k + 1 < seen.size(); ++k) neighbours.emplace_back(seen[k], seen[k + 1]);
+        const std::vector<FeatureTrack> tracks = find_tracks(given_, masks_, neighbours, progress_);
+        std::map<Turn, NearSide> votes;
+        for (const auto& [turn, c] : best_) votes[turn] = near_side(c.fit, tracks);
+        for (const auto& [turn, v] : votes) aligner_.trace("%s: %zu features of %zu fit, %.0f %% of them on the near side", name_of(turn), v.matches, tracks.size(), 100 * v.share);
+        const auto votes_for = [](const NearSide& v) { return static_cast<double>(v.matches) * v.share; };
+        for (const auto& [turn, v] : votes) {
+            const double others = std::accumulate(votes.begin(), votes.end(), 0.0, [&, t = turn](double sum, const auto& w) { return w.first == t ? sum : sum + votes_for(w.second); });
+            if (v.matches < 30 || v.share < 0.85 || votes_for(v) < 4 * others) continue;
+            by_features_ = true;
+            out_.features = v.matches;
+            out_.features_near = v.share;
+            progress_.note(text_of("the object turns %s: %.0f %% of %zu features then lie on the side that is seen", name_of(turn), 100 * v.share, v.matches));
+            return turn;
+        }
+        return lead;
+    }
+
+    /// Texture as further residuals: what is left of mismatches is dropped by how far from their places they are, twice.
+    void fit_features(Candidate& c) {
+        constexpr double kMostApart = 35 * kRadians;  // features look too different beyond
+        constexpr size_t kNeighbours = 4;
+        std::vector<std::pair<size_t, size_t>> pairs;
+        const std::vector<OrbitCamera> cameras = c.fit.model.cameras();
+        for (const size_t i : silhouettes_.seen()) {
+            std::vector<std::pair<double, size_t>> near;
+            for (const size_t j : silhouettes_.seen()) {
+                const double apart = std::acos(std::clamp(cameras[i].centre.normalized().dot(cameras[j].centre.normalized()), -1.0, 1.0));
+                if (j != i && apart < kMostApart) near.emplace_back(apart, j);
+            }
+            std::sort(near.begin(), near.end());
+            near.resize(std::min(near.size(), kNeighbours));
+            for (const auto& [apart, j] : near) pairs.emplace_back(std::min(i, j), std::max(i, j));
+        }
+        std::sort(pairs.begin(), pairs.end());
+        pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
+        std::vector<FeatureTrack> tracks = find_tracks(given_, masks_, pairs, progress_);
+        double limit_px = std::max(5.0, 0.05 * silhouettes_.size_px());
+        for (int round = 0; round < 2; ++round) {
+            const std::vector<OrbitCamera> now = c.fit.model.cameras();
+            std::erase_if(tracks, [&](const FeatureTrack& t) {
+                const TrackedPlace at = place_of(now, t);
+                return !at.in_front || at.rms_px() > limit_px || at.place.norm() > 2 * c.fit.ball_radius;
+            });
+            if (tracks.size() < 30) {
+                c.fit.tracks = nullptr;
+                progress_.note(text_of("%zu features follow the cameras: too few to be fitted, silhouettes alone are", tracks.size()));
+                return;
+            }
+            c.fit.tracks = std::make_shared<const std::vector<FeatureTrack>>(tracks);
+            CoherencePass pass = aligner_.fine(c.rms_px());
+            if (round == 0) pass.track_huber_px = 0.3 * limit_px;
+            refine(c.fit, silhouettes_, pass, progress_);
+            std::vector<double> left;
+            for (const FeatureTrack& t : tracks) left.push_back(place_of(c.fit.model.cameras(), t).rms_px());
+            aligner_.trace("%zu tracks of features: median %.2f px, contours %.3f px", tracks.size(), median(left), c.rms_px());
+            limit_px = std::max(2.0, 4 * median(left));
+        }
+    }
+
+    std::vector<AlignedView> judged() {
+        CoherencePass pass = aligner_.fine(c_.typical_px());
+        pass.misses = c_.misses;
+        return judge_.views_of(c_.fit.model, pass);
+    }
+
+    // ------------------------------------------------------------------------------------- bad silhouettes
+
+    /// They are named, and then ignored.
+    void name_bad() {
+        out_.aligned = judged();
+        std::vector<size_t> bad = judge_.contradicting(out_.aligned, {}, c_.misses > 0);
+        for (int round = 0; round < 6 && !bad.empty(); ++round) {
+            for (size_t i : bad) silhouettes_.set_bad(i, true);
+            aligner_.settle(c_);
+            // Judged anew with all of them: others may fit now, or turn out to be wrong.
+            for (size_t i : silhouettes_.seen()) silhouettes_.set_bad(i, false);
+            out_.aligned = judged();
+            // What contradicts the rest without having taken part stays out.
+            std::erase_if(bad, [&](size_t i) { return out_.aligned[i].residual_px < 1 && out_.aligned[i].dissent < 0.004; });
+            const std::vector<size_t> now = judge_.contradicting(out_.aligned, bad, c_.misses > 0);
+            const bool settled = now == bad;
+            bad = now;
+            if (settled) break;
+        }
+        if (!bad.empty() || c_.misses > 0) {
+            for (size_t i : bad) silhouettes_.set_bad(i, true);
+            c_.misses = 0;
+            aligner_.settle(c_);
+            const auto with_all = out_.aligned;
+            out_.aligned = judged();
+            for (size_t i : bad) out_.aligned[i].dissent = with_all[i].dissent;
+        }
+        progress_.step(1);
+    }
+
+    // ------------------------------------------------------------------------------------- what is left open
+
+    /// The same result from disturbed angles?
+    void disturb() {
+        const std::vector<size_t>& seen = silhouettes_.seen();
+        std::mt19937_64 random(o_.seed);
+        std::normal_distribution<double> normal;
+        CoherencePass quick = aligner_.middle();
+        quick.sigma_px = std::clamp(2 * c_.rms_px(), 0.1, 3.0);
+        quick.points = 50;
+        quick.iterations = 8;
+        Candidate home = c_.orbit == Orbit::Turntable ? aligner_.climbed(c_, Orbit::FixedCamera) : c_;
+        aligner_.fit(home, quick, 41);
+        std::vector<double> spread_squares(seen.size(), 0);
+        double focal_squares = 0;
+        int used = 0;
+        std::optional<Candidate> better;
+        for (int r = 0; r < o_.restarts; ++r) {
+            Candidate x = home;
+            for (size_t i : seen) x.fit.model.of(i, OrbitModel::Azimuth).value += 2.5 * kRadians * normal(random);
+            x.fit.model.global(OrbitModel::LnFocal).value += 0.05 * normal(random);
+            refine(x.fit, silhouettes_, quick, progress_);
+            aligner_.trace("restart: %.4f px, at home %.4f, f %.1f", x.rms_px(), home.rms_px(), x.fit.model.focal_px(0));
+            if (x.rms_px() < 0.8 * home.rms_px() - 0.01) better = x;  // it found a better place than it came from
+            if (x.rms_px() > 2 * home.rms_px() + 0.1) continue;       // it did not come home: no evidence of freedom
+            ++used;
+            std::vector<double> moved;
+            for (size_t i : seen) moved.push_back(x.fit.model.azimuth(i) - home.fit.model.azimuth(i));
+            const double mean = std::accumulate(moved.begin(), moved.end(), 0.0) / static_cast<double>(moved.size());
+            for (size_t k = 0; k < seen.size(); ++k) spread_squares[k] += square((moved[k] - mean) / kRadians);
+            focal_squares += square(x.fit.model.global(OrbitModel::LnFocal).value - home.fit.model.global(OrbitModel::LnFocal).value);
+        }
+        if (better && c_.orbit != Orbit::Turntable) {
+            aligner_.polish(*better);
+            if (better->rms_px() < c_.rms_px()) {
+                c_ = *better;
+                out_.aligned = judged();
             }
         }
+        if (used > 0) {
+            double sum = 0;
+            for (size_t k = 0; k < seen.size(); ++k) {
+                out_.aligned[seen[k]].azimuth_spread_deg = std::sqrt(spread_squares[k] / used);
+                sum += spread_squares[k] / used;
+            }
+            out_.azimuth_spread_deg = std::sqrt(sum / static_cast<double>(seen.size()));
+            out_.focal_spread = std::sqrt(focal_squares / used);
+        }
+        progress_.step(2);
     }
 
-    // Residuals before: of the start that the photographer's word gives.
-    {
-        const OrbitModel first = o.method == AlignMethod::Refine ? aligner.given_cameras(world_from_given) : aligner.start(c.orbit, c.turn, aligner.starts().front());
-        const std::vector<AlignedView> before = judge.views_of(first, aligner.coarse());
-        for (size_t i = 0; i < before.size(); ++i) out.aligned[i].residual_before_px = before[i].residual_px;
-        out.focal_start_px = first.focal_px(silhouettes.seen().front());
+    /// Where nothing says what the angles are, those that were meant are as good as any.
+    void hold_unobservable() {
+        const double limit_spread_deg = std::max(0.5, 3 * c_.rms_px() / (0.5 * silhouettes_.size_px()) / kRadians);
+        if (out_.azimuth_spread_deg <= limit_spread_deg || std::fabs(c_.fit.model.global(OrbitModel::LnFocal).value) >= kMostLnFocal) return;
+        out_.angles_observable = false;
+        if (c_.orbit == Orbit::Turntable || o_.method == AlignMethod::Refine) return;
+        Candidate held = c_;
+        OrbitModel& m = held.fit.model;
+        m.global(OrbitModel::LnArc).hold(0);
+        for (int h = 0; h < OrbitModel::kHarmonics; ++h) m.harmonic(h).hold(0);
+        for (size_t i : silhouettes_.seen()) m.of(i, OrbitModel::Azimuth).hold(0);
+        aligner_.polish(held);
+        if (held.rms_px() >= 1.5 * c_.rms_px() + 0.05) {
+            out_.angles_observable = true;  // uncertain, but the silhouettes do not bear just any
+            return;
+        }
+        c_ = held;
+        const auto before = out_.aligned;
+        out_.aligned = judged();
+        for (size_t i = 0; i < before.size(); ++i) out_.aligned[i].azimuth_spread_deg = before[i].azimuth_spread_deg;
     }
 
-    const OrbitModel& m = c.fit.model;
-    const size_t first = silhouettes.seen().front();
-    out.orbit = c.orbit;
-    out.direction = c.turn;
-    double sum = 0, coherent = 0;
-    size_t good = 0;
-    for (size_t i : silhouettes.seen())
-        if (!silhouettes.bad(i)) sum += square(out.aligned[i].residual_px), coherent += out.aligned[i].coherent, ++good;
-    out.rms_px = std::sqrt(sum / static_cast<double>(good));
-    out.coherent = coherent / static_cast<double>(good);
-    out.focal_px = m.focal_px(first);
-    // Of the camera above the object's middle; the model's own counts from the axis at any height.
-    const Outline outline = outline_of(c.fit);
-    std::vector<double> elevations;
-    for (size_t i : silhouettes.seen()) {
-        const Vec3d to = m.camera(i).centre - outline.middle;
-        elevations.push_back(std::asin(to.z() / to.norm()) / kRadians);
-    }
-    out.elevation_deg = median(elevations);
-    out.principal_x_px = m.camera(first).cx;
-    out.principal_y_px = m.camera(first).cy;
-    for (const auto& [turn, other] : best)
-        if (turn != c.turn) out.other_direction_px = other.typical_px();
-    out.method = o.method;
-    out.views = with_cameras(given, m);
-    if (!sitting_of.empty()) set_sittings(out.views, m, sitting_of);
-    if (o.method == AlignMethod::Refine) {
-        out.views.up = given.up;
-        out.views.units = given.units;
-        for (View& v : out.views.views) {
-            Rigid3& pose = v.camera.camera_from_world;
-            // Back to where they came from: x = (x' - translation) / scale.
-            pose.translation = (pose.translation + pose.rotation * world_from_given.translation) / world_from_given.scale;
+    /// Does the object look the same after half a turn (or a third, a quarter)? Then a view could as well be another one.
+    void find_symmetry() {
+        if (!out_.angles_observable || o_.method != AlignMethod::Coherence) return;
+        CoherencePass pass = aligner_.middle();
+        pass.points = 30;
+        const auto outside = [&](double turn_rad) {
+            // Each view by itself turned on, before the silhouettes of the others as they are.
+            const std::vector<OrbitCamera> cameras = c_.fit.model.cameras();
+            const std::vector<ContourPoint> points = silhouettes_.contour(pass.scale, pass.points, 61);
+            const Outline outline = outline_of(c_.fit);
+            const Mat3d turn = Eigen::AngleAxisd(turn_rad, Vec3d::UnitZ()).toRotationMatrix();
+            std::vector<double> all;
+            for (size_t i : silhouettes_.seen()) {
+                if (silhouettes_.bad(i)) continue;
+                std::vector<OrbitCamera> moved = cameras;
+                moved[i].camera_from_world = cameras[i].camera_from_world * turn.transpose();
+                moved[i].centre = turn * (cameras[i].centre - outline.middle) + outline.middle;
+                std::vector<ContourPoint> own;
+                for (const ContourPoint& p : points)
+                    if (static_cast<size_t>(p.view) == i) own.push_back(p);
+                for (const Touch& t : find_touches(silhouettes_.at_scale(pass.scale), moved, own, {c_.fit.ball_radius, 0, 2 * pass.resolution_px}, {}))
+                    if (!std::isnan(t.residual_px)) all.push_back(std::max(0.0, t.residual_px));
+            }
+            return percentile(all, 0.85);
+        };
+        const double here = outside(0);
+        for (const int fold : {2, 3, 4}) {
+            const double there = outside(2 * std::numbers::pi / fold);
+            aligner_.trace("turned by 1/%d: %.3f px outside, as it is %.3f", fold, there, here);
+            if (there < 2 * here + 0.004 * silhouettes_.size_px()) out_.symmetry = fold;
         }
     }
-    for (const Touch& t : c.fit.touches) {
-        const auto p = static_cast<size_t>(&t - c.fit.touches.data());
-        if (std::isnan(t.residual_px) || t.residual_px > 1) continue;
-        const Vec3d x = touch_position(m.camera(static_cast<size_t>(c.fit.points[p].view)), c.fit.points[p], t.depth);
-        const Vec3d back = (x - world_from_given.translation) / world_from_given.scale;
-        out.touches_world.push_back({static_cast<float>(back.x()), static_cast<float>(back.y()), static_cast<float>(back.z())});
+
+    // ------------------------------------------------------------------------------------- result
+
+    void describe() {
+        // Residuals before: of the start that the photographer's word gives.
+        const OrbitModel start = o_.method == AlignMethod::Refine ? aligner_.given_cameras(world_from_given_) : aligner_.start(c_.orbit, c_.turn, aligner_.starts().front());
+        const std::vector<AlignedView> before = judge_.views_of(start, aligner_.coarse());
+        for (size_t i = 0; i < before.size(); ++i) out_.aligned[i].residual_before_px = before[i].residual_px;
+        const size_t first = silhouettes_.seen().front();
+        out_.focal_start_px = start.focal_px(first);
+
+        const OrbitModel& m = c_.fit.model;
+        out_.orbit = c_.orbit;
+        out_.direction = c_.turn;
+        double sum = 0, coherent = 0;
+        size_t good = 0;
+        for (size_t i : silhouettes_.seen())
+            if (!silhouettes_.bad(i)) sum += square(out_.aligned[i].residual_px), coherent += out_.aligned[i].coherent, ++good;
+        out_.rms_px = std::sqrt(sum / static_cast<double>(good));
+        out_.coherent = coherent / static_cast<double>(good);
+        out_.focal_px = m.focal_px(first);
+        // Of the camera above the object's middle; the model's own counts from the axis at any height.
+        const Outline outline = outline_of(c_.fit);
+        std::vector<double> elevations;
+        for (size_t i : silhouettes_.seen()) {
+            const Vec3d to = m.camera(i).centre - outline.middle;
+            elevations.push_back(std::asin(to.z() / to.norm()) / kRadians);
+        }
+        out_.elevation_deg = median(elevations);
+        out_.principal_x_px = m.camera(first).cx;
+        out_.principal_y_px = m.camera(first).cy;
+        for (const auto& [turn, other] : best_)
+            if (turn != c_.turn) out_.other_direction_px = other.typical_px();
+        if (c_.fit.tracks) {
+            std::vector<double> left;
+            for (const FeatureTrack& t : *c_.fit.tracks) left.push_back(place_of(m.cameras(), t).rms_px());
+            out_.features = left.size();
+            out_.features_rms_px = std::sqrt(std::inner_product(left.begin(), left.end(), left.begin(), 0.0) / static_cast<double>(left.size()));
+        }
+        out_.views = with_cameras(given_, m);
+        if (!sitting_of_.empty()) set_sittings(out_.views, m, sitting_of_);
+        const Similarity& to_ring = world_from_given_;
+        if (o_.method == AlignMethod::Refine) {
+            out_.views.up = given_.up;
+            out_.views.units = given_.units;
+            for (View& v : out_.views.views) {
+                Rigid3& pose = v.camera.camera_from_world;
+                // Back to where they came from: x = (x' - translation) / scale.
+                pose.translation = (pose.translation + pose.rotation * to_ring.translation) / to_ring.scale;
+            }
+        }
+        for (size_t p = 0; p < c_.fit.touches.size(); ++p) {
+            const Touch& t = c_.fit.touches[p];
+            if (std::isnan(t.residual_px) || t.residual_px > 1) continue;
+            const Vec3d x = touch_position(m.camera(static_cast<size_t>(c_.fit.points[p].view)), c_.fit.points[p], t.depth);
+            const Vec3d back = (x - to_ring.translation) / to_ring.scale;
+            out_.touches_world.push_back({static_cast<float>(back.x()), static_cast<float>(back.y()), static_cast<float>(back.z())});
+        }
     }
 
-    // ---------------------------------------------------------------------------------- verdict
-    const double allowed_px = std::max({1.0, silhouettes.size_px() / 400, 1.5 * out.mask_noise_px});
-    if (out.rms_px > allowed_px)
-        out.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may. Not one turn of the object at even steps (--angles, --arc), masks of different "
-                                       "objects, or an orbit too far from what was assumed (--orbit, --fov)",
-                                       out.rms_px, allowed_px));
-    std::string names;
-    size_t out_of_it = 0;
-    for (size_t i : silhouettes.seen())
-        if (silhouettes.bad(i) && out_of_it++ < 6) names += (names.empty() ? "" : ", ") + given.views[i].name;
-    if (out_of_it) out.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s%s. Remedy: look at their masks", out_of_it, names.c_str(), out_of_it > 6 ? " …" : ""));
-    if (out_of_it >= silhouettes.seen().size() / 4 && out_of_it > 1) out.failures.push_back("a quarter of the silhouettes contradicts the others: which ones are wrong cannot be told");
-    const bool mirrored_alike = o.method == AlignMethod::Coherence && o.direction == Turn::Auto && out.other_direction_px < 3 * c.typical_px() + 0.1;
-    if (!out.angles_observable)
-        out.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "
-                                       "Remedy: texture with --method refine, or a marker mat",
-                                       out.azimuth_spread_deg, o.angles_deg.empty() ? "even" : "given"));
-    else if (mirrored_alike) {
-        out.failures.push_back(text_of("which way the object turned cannot be told from the silhouettes (%.2f px one way, %.2f px the other), and the wrong one gives its mirror image. Remedy: --direction cw or ccw (seen from above)", out.rms_px,
-                                       out.other_direction_px));
-        for (const auto& [turn, other] : best)
-            if (turn != c.turn && other.fit.model.views() == given.views.size())
-                for (size_t i = 0; i < given.views.size(); ++i) out.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
+    void judge() {
+        // A pixel for an object of 300: what masks of that size are usually off by, unless these are seen to be rougher.
+        const double allowed_px = std::max({0.3, silhouettes_.size_px() / 300, 1.5 * out_.mask_noise_px});
+        // Cameras for which next to nothing was in the others' frames would fit anything.
+        if (!(out_.rms_px <= allowed_px) || out_.touches_world.empty())
+            out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may. Not one turn of the object at even steps (--angles, --arc), masks of different "
+                                            "objects, or an orbit too far from what was assumed (--orbit, --fov)",
+                                            out_.rms_px, allowed_px));
+        std::string names;
+        size_t out_of_it = 0;
+        for (size_t i : silhouettes_.seen())
+            if (silhouettes_.bad(i) && out_of_it++ < 6) names += (names.empty() ? "" : ", ") + given_.views[i].name;
+        if (out_of_it) out_.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s%s. Remedy: look at their masks", out_of_it, names.c_str(), out_of_it > 6 ? " …" : ""));
+        if (out_of_it >= silhouettes_.seen().size() / 4 && out_of_it > 1) out_.failures.push_back("a quarter of the silhouettes contradicts the others: which ones are wrong cannot be told");
+        if (!out_.angles_observable && o_.method == AlignMethod::Refine)
+            out_.warnings.push_back(text_of("the silhouettes%s leave each view's angle open by %.1f degrees: the given cameras decide. Remedy: texture, or a marker mat", c_.fit.tracks ? " and the features" : "", out_.azimuth_spread_deg));
+        else if (!out_.angles_observable)
+            out_.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "
+                                            "Remedy: texture with --method refine, or a marker mat",
+                                            out_.azimuth_spread_deg, o_.angles_deg.empty() ? "even" : "given"));
+        else if (mirrored_alike(c_))
+            undecided_direction();
+        if (out_.symmetry > 1)
+            out_.warnings.push_back(text_of("the object looks nearly the same after 1/%d of a turn: angles that are wrong by that much would not be noticed. The shape hardly depends on it, the colours do", out_.symmetry));
+        const double ln_focal = c_.fit.model.global(OrbitModel::LnFocal).value;
+        if (std::fabs(ln_focal) > kMostLnFocal && o_.method != AlignMethod::Paper)
+            out_.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out_.focal_px, out_.focal_start_px));
+        else if (out_.focal_spread > 0.05)
+            out_.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out_.focal_spread));
     }
-    const double ln_focal = m.global(OrbitModel::LnFocal).value;
-    if (std::fabs(ln_focal) > kMostLnFocal)
-        out.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out.focal_px, out.focal_start_px));
-    else if (out.focal_spread > 0.05)
-        out.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out.focal_spread));
-    progress.step(1);
+
+    void undecided_direction() {
+        out_.failures.push_back(text_of("which way the object turned cannot be told from the silhouettes (%.2f px one way, %.2f px the other), and the wrong one gives its mirror image. Remedy: --direction cw or ccw (seen from above)", out_.rms_px,
+                                        out_.other_direction_px));
+        const OrbitModel& m = c_.fit.model;
+        for (const auto& [turn, other] : best_)
+            if (turn != c_.turn && other.fit.model.views() == given_.views.size())
+                for (size_t i = 0; i < given_.views.size(); ++i) out_.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
+    }
+
+    const Views& given_;
+    const std::vector<MaskView>& masks_;
+    const AlignOptions& o_;
+    Progress& progress_;
+    RingAligner aligner_;
+    Silhouettes& silhouettes_;
+    Judge judge_;
+    Best best_;
+    Candidate c_;                    ///< the one that is believed
+    bool by_features_ = false;       ///< texture decided the direction
+    Similarity world_from_given_;    ///< of Refine
+    std::vector<int> sitting_of_;    ///< where there are several rings
+    AlignResult out_;
+};
+
+std::vector<std::string> names_of(const Views& views) {
+    std::vector<std::string> out;
+    for (const View& v : views.views) out.push_back(v.name);
     return out;
+}
+
+std::vector<MaskView> trusted_masks(const AlignResult& r, std::vector<MaskView> masks) {
+    for (size_t i = 0; i < masks.size(); ++i)
+        if (r.aligned[i].bad) masks[i] = {};
+    return masks;
+}
+
+/// The distance, in the world found, between the places of the hull that two pixels of one view show.
+double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const KnownLength& known) {
+    const auto view = std::find_if(r.views.views.begin(), r.views.views.end(), [&](const View& v) { return v.name == known.view || std::filesystem::path(v.name).stem() == known.view; });
+    if (view == r.views.views.end()) throw UsageError("--known-length: no view is called " + known.view);
+    const Camera& camera = cameras[static_cast<size_t>(view - r.views.views.begin())];
+    Progress quiet;
+    const openvdb::FloatGrid::Ptr hull = coarse_hull(names_of(r.views), cameras, masks, 256, 0.6, quiet);
+    using Intersector = openvdb::tools::LevelSetRayIntersector<openvdb::FloatGrid>;
+    const Intersector intersector(*hull);
+    std::array<Vec3d, 2> places;
+    for (size_t k = 0; k < 2; ++k) {
+        const Vec2d& pixel = k ? known.to_px : known.from_px;
+        const Camera::Ray ray = camera.ray(pixel);
+        openvdb::Vec3d hit;
+        const Intersector::RayType sight({ray.origin.x(), ray.origin.y(), ray.origin.z()}, {ray.direction.x(), ray.direction.y(), ray.direction.z()});
+        if (!intersector.intersectsWS(sight, hit)) throw InputError(text_of("--known-length: pixel %g, %g of %s does not show the object", pixel.x(), pixel.y(), known.view.c_str()));
+        places[k] = {hit.x(), hit.y(), hit.z()};
+    }
+    return (places[1] - places[0]).norm();
 }
 
 /// Moves and scales what was found so that one length is known.
@@ -1062,19 +1292,16 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
             if (!masks[i].coverage.empty()) distances.push_back((cameras[i].centre_world() - middle).norm());
         scale = o.known_distance / median(distances);
     } else if (o.known_height > 0) {
-        std::vector<std::string> names;
-        std::vector<MaskView> trusted = masks;
-        for (size_t i = 0; i < cameras.size(); ++i) {
-            names.push_back(r.views.views[i].name);
-            if (r.aligned[i].bad) trusted[i] = {};
-        }
+        const std::vector<MaskView> trusted = trusted_masks(r, masks);
         Progress quiet;
-        const openvdb::FloatGrid::Ptr hull = coarse_hull(names, cameras, trusted, 256, 0.6, quiet);
+        const openvdb::FloatGrid::Ptr hull = coarse_hull(names_of(r.views), cameras, trusted, 256, 0.6, quiet);
         const SeenExtent seen = seen_extent(*hull, cameras, trusted, up_direction(r.views.up, cameras));
         if (!seen.top_seen || !seen.bottom_seen) throw UndeterminedError("--known-height: every silhouette is cut by its frame above or below, so how high the object is was not seen. Remedy: --known-distance");
         scale = o.known_height / (seen.highest - seen.lowest);
+    } else if (o.known_length) {
+        scale = o.known_length->length / seen_length(r, cameras, trusted_masks(r, masks), *o.known_length);
     } else {
-        if (r.method == AlignMethod::Coherence) r.views.units.clear();
+        if (r.method != AlignMethod::Refine) r.views.units.clear();
         return;
     }
     r.views.units = o.units;
@@ -1090,7 +1317,8 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
 
 AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) {
     check_options(options, views.views.size(), masks.size());
-    AlignResult out = align_ring(views, masks, options, progress);
+    if (options.method == AlignMethod::Mat) return align_to_mat(views, options, progress);
+    AlignResult out = Alignment(views, masks, options, progress).run();
     apply_scale(out, masks, options, progress);
     return out;
 }

@@ -18,7 +18,15 @@ const char* name_of(Orbit orbit) {
     return "";
 }
 const char* name_of(Turn turn) { return turn == Turn::Auto ? "auto" : turn == Turn::Clockwise ? "cw" : "ccw"; }
-const char* name_of(AlignMethod method) { return method == AlignMethod::Refine ? "refine" : "coherence"; }
+const char* name_of(AlignMethod method) {
+    switch (method) {
+        case AlignMethod::Coherence: return "coherence";
+        case AlignMethod::Refine: return "refine";
+        case AlignMethod::Mat: return "mat";
+        case AlignMethod::Paper: return "paper";
+    }
+    return "";
+}
 
 std::string alignment_json(const AlignResult& r) {
     using nlohmann::json;
@@ -36,6 +44,11 @@ std::string alignment_json(const AlignResult& r) {
              {"other_direction_rms_px", r.other_direction_px},
              {"azimuth_spread_deg", r.azimuth_spread_deg},
              {"angles_observable", r.angles_observable},
+             {"symmetry", r.symmetry},
+             {"focal_sd_px", r.focal_sd_px},
+             {"features", {{"count", r.features}, {"rms_px", r.features_rms_px}, {"near_share", r.features_near}}},
+             {"left_out", r.left_out},
+             {"picture", r.picture_name},
              {"units", r.views.units.empty() ? "arbitrary" : r.views.units},
              {"verified", r.failures.empty()},
              {"failures", r.failures}};

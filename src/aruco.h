@@ -3,7 +3,10 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
+#include "vdbcarve/board.h"
+#include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
 
 namespace vdbcarve {
@@ -16,5 +19,15 @@ int marker_bits(const std::string& name);
 
 /// A marker with its black border, `side` pixels wide.
 Image8 marker_image(const std::string& dictionary, int id, int side);
+
+/// A corner of a mat in a photograph: of a marker (grid) or of the chessboard (charuco).
+struct MatCorner {
+    int group = 0;   ///< the marker, or the chessboard's corner, by number
+    Vec2d mat_m;     ///< in the mat's frame
+    Vec2d image_px;  ///< first pixel's centre at (0.5, 0.5)
+};
+
+/// All that can be seen of a mat, to a few hundredths of a pixel in sharp pictures. `grey` has one channel.
+std::vector<MatCorner> find_mat(const MatLayout& mat, ImageView<uint8_t> grey);
 
 }  // namespace vdbcarve

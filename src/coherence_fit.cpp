@@ -4,7 +4,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
-#include <Eigen/Cholesky>
+#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -18,6 +18,12 @@ namespace vdbcarve {
 namespace {
 
 double square(double x) { return x * x; }
+
+double rms(const std::vector<double>& values) {
+    double sum = 0;
+    for (double v : values) sum += square(v);
+    return values.empty() ? 0 : std::sqrt(sum / static_cast<double>(values.size()));
+}
 
 double huber_cost(double r, double limit) { return r <= 0 ? 0 : r < limit ? r * r : limit * (2 * r - limit); }
 double huber_weight(double r, double limit) { return r <= 0 ? 0 : r < limit ? 1 : limit / r; }
@@ -45,11 +51,117 @@ std::vector<ContourPoint> drawn(std::vector<ContourPoint> all, size_t count, uin
     return all;
 }
 
+/// What a line of sight costs that no other view says anything about: without a price, cameras that look past the object would be the best of all.
+constexpr double kUnseen_px = 100;
+
+// ------------------------------------------------------------------------------------- features
+
+/// Derivatives of a place's image: by the camera's directions, and by the place.
+struct ImageOfPlace {
+    Vec2d px;
+    Eigen::Matrix<double, 2, kCameraDirections> by_camera;
+    Eigen::Matrix<double, 2, 3> by_place;
+    double depth = 0;
+};
+ImageOfPlace image_of(const OrbitCamera& c, const Vec3d& place) {
+    const Vec3d q = c.camera_from_world * (place - c.centre);
+    ImageOfPlace out;
+    out.depth = q.z();
+    const double fy = c.fx * c.aspect, x = q.x() / q.z(), y = q.y() / q.z();
+    out.px = {c.fx * x + c.cx, fy * y + c.cy};
+    Eigen::Matrix<double, 2, 3> by_q;
+    by_q << c.fx / q.z(), 0, -c.fx * x / q.z(), 0, fy / q.z(), -fy * y / q.z();
+    Mat3d cross;
+    cross << 0, -q.z(), q.y(), q.z(), 0, -q.x(), -q.y(), q.x(), 0;
+    out.by_camera.block<2, 3>(0, kTurn) = -by_q * cross;
+    out.by_place = by_q * c.camera_from_world;
+    out.by_camera.block<2, 3>(0, kCentre) = -out.by_place;
+    out.by_camera.col(kLnFocal) = Vec2d(c.fx * x, fy * y);
+    out.by_camera.col(kCentreX) = Vec2d(1, 0);
+    out.by_camera.col(kCentreY) = Vec2d(0, 1);
+    return out;
+}
+
+}  // namespace
+
+double track_cost(const CoherenceFit& f, const CoherencePass& pass) {
+    if (!f.tracks) return 0;
+    const std::vector<OrbitCamera> cameras = f.model.cameras();
+    std::vector<double> costs(f.tracks->size());
+    tbb::parallel_for(size_t{0}, costs.size(), [&](size_t t) {
+        const TrackedPlace at = place_of(cameras, (*f.tracks)[t]);
+        for (const Vec2d& r : at.residuals_px) costs[t] += huber_cost(at.in_front ? r.norm() : kUnseen_px, pass.track_huber_px);
+    });
+    double sum = 0;
+    for (double c : costs) sum += c;
+    return sum / square(pass.track_sigma_px);
+}
+
+TrackNormal normal_of_tracks(const CoherenceFit& f, const CoherencePass& pass, size_t size) {
+    TrackNormal out;
+    if (!f.tracks) return out;
+    out.curvature = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(size), static_cast<Eigen::Index>(size));
+    out.gradient = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(size));
+    const std::vector<OrbitCamera> cameras = f.model.cameras();
+    const auto columns = f.model.columns();
+    struct Reduced {
+        std::vector<int> parameters;
+        Eigen::MatrixXd curvature;
+        Eigen::VectorXd gradient;
+        double cost = 0;
+    };
+    std::vector<Reduced> all(f.tracks->size());
+    tbb::parallel_for(size_t{0}, all.size(), [&](size_t t) {
+        const FeatureTrack& track = (*f.tracks)[t];
+        const TrackedPlace at = place_of(cameras, track);
+        if (!at.in_front) return;
+        Reduced& r = all[t];
+        std::set<int> which;
+        for (const Sighting& s : track.sightings)
+            for (const CameraColumn& c : columns[static_cast<size_t>(s.view)]) which.insert(c.parameter);
+        r.parameters.assign(which.begin(), which.end());
+        const auto rows = static_cast<Eigen::Index>(2 * track.sightings.size());
+        Eigen::MatrixXd by = Eigen::MatrixXd::Zero(rows, static_cast<Eigen::Index>(r.parameters.size()));
+        Eigen::MatrixX3d by_place(rows, 3);
+        Eigen::VectorXd residual(rows);
+        for (size_t k = 0; k < track.sightings.size(); ++k) {
+            const auto view = static_cast<size_t>(track.sightings[k].view);
+            const ImageOfPlace image = image_of(cameras[view], at.place);
+            const double weight = std::sqrt(huber_weight(at.residuals_px[k].norm(), pass.track_huber_px)) / pass.track_sigma_px;
+            const auto row = static_cast<Eigen::Index>(2 * k);
+            residual.segment<2>(row) = weight * at.residuals_px[k];
+            by_place.block<2, 3>(row, 0) = weight * image.by_place;
+            for (const CameraColumn& c : columns[view]) {
+                const auto column = std::lower_bound(r.parameters.begin(), r.parameters.end(), c.parameter) - r.parameters.begin();
+                for (int d = 0; d < kCameraDirections; ++d) by.block<2, 1>(row, column) += weight * c.direction[static_cast<size_t>(d)] * image.by_camera.col(d);
+            }
+        }
+        const Eigen::MatrixXd q = Eigen::HouseholderQR<Eigen::MatrixXd>(by_place).householderQ();
+        const Eigen::MatrixXd across = q.rightCols(rows - 3).transpose();
+        const Eigen::MatrixXd reduced = across * by;
+        const Eigen::VectorXd left = across * residual;
+        r.curvature = reduced.transpose() * reduced;
+        r.gradient = reduced.transpose() * left;
+        r.cost = left.squaredNorm();
+    });
+    for (const Reduced& r : all)
+        for (size_t k = 0; k < r.parameters.size(); ++k) {
+            out.gradient[r.parameters[k]] += r.gradient[static_cast<Eigen::Index>(k)];
+            for (size_t l = 0; l < r.parameters.size(); ++l) out.curvature(r.parameters[k], r.parameters[l]) += r.curvature(static_cast<Eigen::Index>(k), static_cast<Eigen::Index>(l));
+        }
+    // So that the prediction agrees with the cost at x = 0, Huber's linear parts included.
+    out.cost = track_cost(f, pass);
+    return out;
+}
+
+namespace {
+
+// ------------------------------------------------------------------------------------- silhouettes
+
 double cost_of(const CoherenceFit& f, const CoherencePass& pass) {
     double sum = 0;
-    for (size_t p = 0; p < f.touches.size(); ++p)
-        if (!std::isnan(f.touches[p].residual_px)) sum += huber_cost(f.touches[p].residual_px, pass.huber_px);
-    return sum / square(pass.sigma_px) + f.model.prior_cost();
+    for (const Touch& t : f.touches) sum += huber_cost(std::isnan(t.residual_px) ? kUnseen_px : t.residual_px, pass.huber_px);
+    return sum / square(pass.sigma_px) + f.model.prior_cost() + track_cost(f, pass);
 }
 
 /// A residual near the present state: the least over the line of sight of the largest of its supports, whose distances change with the free
@@ -109,15 +221,16 @@ std::vector<Row> rows_of(const CoherenceFit& f, const std::vector<CoherenceView>
 }
 
 /// Cost where supports change as their derivatives say and parameters are those of `moved`.
-double predicted_cost(const std::vector<Row>& rows, const Eigen::VectorXd& step, const OrbitModel& moved, const CoherencePass& pass) {
+double predicted_cost(const std::vector<Row>& rows, const TrackNormal& tracks, const Eigen::VectorXd& step, const OrbitModel& moved, const CoherencePass& pass) {
     double sum = 0;
     std::vector<double> values;
     for (const Row& row : rows) {
+        if (std::isnan(row.residual_px)) sum += huber_cost(kUnseen_px, pass.huber_px);
         if (row.values.empty()) continue;
         row.values_after(step, values);
         sum += huber_cost(row.residual_after(minimax(values.data(), row.slopes.data(), values.size(), row.reach), values), pass.huber_px);
     }
-    return sum / square(pass.sigma_px) + moved.prior_cost();
+    return sum / square(pass.sigma_px) + moved.prior_cost() + tracks.after(step);
 }
 
 OrbitModel stepped(const OrbitModel& model, const std::vector<size_t>& free, const Eigen::VectorXd& step) {
@@ -128,7 +241,7 @@ OrbitModel stepped(const OrbitModel& model, const std::vector<size_t>& free, con
 
 /// Minimum of the cost as rows predict it, damped: Newton's method on which supports hold each residual, and on which residuals count. (Taking the
 /// ones of the present state for granted makes steps too long: they are then rejected, and the optimisation creeps.)
-Eigen::VectorXd step_of(const std::vector<Row>& rows, const OrbitModel& model, const std::vector<size_t>& free, const CoherencePass& pass, double damping) {
+Eigen::VectorXd step_of(const std::vector<Row>& rows, const TrackNormal& tracks, const OrbitModel& model, const std::vector<size_t>& free, const CoherencePass& pass, double damping) {
     const auto size = static_cast<Eigen::Index>(free.size());
     const double weight = 1 / square(pass.sigma_px);
     Eigen::VectorXd x = Eigen::VectorXd::Zero(size), best = x, diagonal;
@@ -137,7 +250,8 @@ Eigen::VectorXd step_of(const std::vector<Row>& rows, const OrbitModel& model, c
     for (int turn = 0; turn < pass.turns; ++turn) {
         Eigen::MatrixXd a = Eigen::MatrixXd::Zero(size, size);
         Eigen::VectorXd b = Eigen::VectorXd::Zero(size);
-        double cost = 0;
+        double cost = tracks.after(x);
+        if (tracks.curvature.size() > 0) a = tracks.curvature, b = -tracks.gradient;
         for (const Row& row : rows) {
             if (row.values.empty()) continue;
             row.values_after(x, values);
@@ -180,23 +294,21 @@ Eigen::VectorXd step_of(const std::vector<Row>& rows, const OrbitModel& model, c
 
 }  // namespace
 
-double CoherenceFit::rms_px() const {
-    double sum = 0;
-    size_t n = 0;
+std::vector<double> CoherenceFit::outside_px() const {
+    std::vector<double> out;
     for (const Touch& t : touches)
-        if (!std::isnan(t.residual_px)) sum += square(std::max(0.0, t.residual_px)), ++n;
-    return n ? std::sqrt(sum / static_cast<double>(n)) : 0;
+        if (!std::isnan(t.residual_px)) out.push_back(std::max(0.0, t.residual_px));
+    if (2 * out.size() < touches.size()) out.assign(1, std::numeric_limits<double>::infinity());
+    return out;
 }
 
+double CoherenceFit::rms_px() const { return rms(outside_px()); }
+
 double CoherenceFit::typical_px() const {
-    std::vector<double> positive;
-    for (const Touch& t : touches)
-        if (!std::isnan(t.residual_px)) positive.push_back(std::max(0.0, t.residual_px));
-    std::sort(positive.begin(), positive.end());
-    positive.resize(positive.size() - positive.size() * 15 / 100);
-    double sum = 0;
-    for (double r : positive) sum += square(r);
-    return positive.empty() ? 0 : std::sqrt(sum / static_cast<double>(positive.size()));
+    std::vector<double> all = outside_px();
+    std::sort(all.begin(), all.end());
+    all.resize(all.size() - all.size() * 15 / 100);
+    return rms(all);
 }
 
 Silhouettes::Silhouettes(const std::vector<MaskView>& masks) : masks_(masks), extents_(masks.size()), bad_(masks.size(), false), views_(masks.size()) {
@@ -258,6 +370,41 @@ std::vector<ContourPoint> Silhouettes::contour(int scale, size_t count, uint64_t
     return out;
 }
 
+double TrackedPlace::rms_px() const {
+    double sum = 0;
+    for (const Vec2d& r : residuals_px) sum += r.squaredNorm();
+    return std::sqrt(sum / static_cast<double>(residuals_px.size()));
+}
+
+TrackedPlace place_of(const std::vector<OrbitCamera>& cameras, const FeatureTrack& track) {
+    TrackedPlace out;
+    out.residuals_px.assign(track.sightings.size(), Vec2d::Zero());
+    std::vector<Camera::Ray> rays;
+    for (const Sighting& s : track.sightings) {
+        const OrbitCamera& c = cameras[static_cast<size_t>(s.view)];
+        const Vec3d sight((s.x_px - c.cx) / c.fx, (s.y_px - c.cy) / (c.fx * c.aspect), 1);
+        rays.push_back({c.centre, (c.camera_from_world.transpose() * sight).normalized()});
+    }
+    const auto start = point_nearest_to(rays, 1e-6);
+    if (!start) return out;
+    out.place = *start;
+    for (int iteration = 0; iteration < 4; ++iteration) {
+        Mat3d a = Mat3d::Zero();
+        Vec3d b = Vec3d::Zero();
+        out.in_front = true;
+        for (size_t k = 0; k < track.sightings.size(); ++k) {
+            const Sighting& s = track.sightings[k];
+            const ImageOfPlace image = image_of(cameras[static_cast<size_t>(s.view)], out.place);
+            if (!(image.depth > 1e-6)) return out.in_front = false, out;
+            out.residuals_px[k] = image.px - Vec2d(s.x_px, s.y_px);
+            a += image.by_place.transpose() * image.by_place;
+            b += image.by_place.transpose() * out.residuals_px[k];
+        }
+        if (iteration < 3) out.place -= a.ldlt().solve(b);
+    }
+    return out;
+}
+
 double ball_radius(const Silhouettes& silhouettes, const OrbitModel& m) {
     std::vector<double> radii;
     for (size_t i : silhouettes.seen()) {
@@ -290,9 +437,10 @@ void refine(CoherenceFit& f, Silhouettes& silhouettes, const CoherencePass& pass
     for (int iteration = 0; iteration < pass.iterations; ++iteration) {
         progress.check();
         const std::vector<Row> rows = rows_of(f, views, pass);
+        const TrackNormal tracks = normal_of_tracks(f, pass, free.size());
         double gain = 0, grow = 4;
         for (int trial = 0; trial < 6; ++trial, grow *= 2) {
-            const Eigen::VectorXd step = step_of(rows, f.model, free, pass, damping);
+            const Eigen::VectorXd step = step_of(rows, tracks, f.model, free, pass, damping);
             CoherenceFit next = f;
             next.model = stepped(f.model, free, step);
             next.touches = find_touches(views, next.model.cameras(), f.points, search, f.touches);
@@ -302,7 +450,7 @@ void refine(CoherenceFit& f, Silhouettes& silhouettes, const CoherencePass& pass
                 continue;
             }
             // Nielsen's rule: how well the step was predicted says how far the next may go.
-            const double predicted = f.cost - predicted_cost(rows, step, next.model, pass);
+            const double predicted = f.cost - predicted_cost(rows, tracks, step, next.model, pass);
             const double quality = (f.cost - next.cost) / std::max(predicted, 1e-12);
             damping = std::max(1e-7, damping * std::clamp(1 - std::pow(2 * quality - 1, 3), 0.1, 4.0));
             gain = (f.cost - next.cost) / f.cost;

@@ -4,9 +4,11 @@
 
 #include <cmath>
 #include <map>
+#include <memory>
 #include <vector>
 
 #include "coherence.h"
+#include "feature_tracks.h"
 #include "orbit_model.h"
 #include "vdbcarve/progress.h"
 
@@ -25,6 +27,8 @@ struct CoherencePass {
     double support_px = 1;       ///< silhouettes that are so near to the farthest may come to hold a residual within a step
     int turns = 8;               ///< of finding out which
     int misses = 0;              ///< SearchOptions::misses
+    double track_sigma_px = 0.7;  ///< expected of features
+    double track_huber_px = 2;
     double give_up_px = INFINITY;  ///< a pass that is still above after four iterations ends
 };
 
@@ -33,10 +37,14 @@ struct CoherenceFit {
     OrbitModel model;
     std::vector<ContourPoint> points;
     std::vector<Touch> touches;  ///< of the points
+    /// Features that are to be fitted too; null: none.
+    std::shared_ptr<const std::vector<FeatureTrack>> tracks;
     double cost = 0;
     double ball_radius = 0;      ///< of the object around the origin, world units
 
-    /// Root mean square of max(0, residual).
+    /// max(0, residual) of the points about which other views say something; infinity alone where they are the lesser part.
+    std::vector<double> outside_px() const;
+    /// Their root mean square.
     double rms_px() const;
     /// The same of the 85 % smallest: what it would be but for a few broken masks.
     double typical_px() const;
@@ -87,6 +95,28 @@ class Silhouettes {
 
 /// Radius of the ball around the origin that holds the object, if these cameras are right.
 double ball_radius(const Silhouettes& silhouettes, const OrbitModel& model);
+
+/// Where lines of sight of a track nearly meet, and how far from them its sightings are.
+struct TrackedPlace {
+    Vec3d place = Vec3d::Zero();
+    std::vector<Vec2d> residuals_px;  ///< projected - seen, of each sighting
+    bool in_front = false;            ///< of all cameras that saw it; residuals mean nothing otherwise
+    double rms_px() const;
+};
+TrackedPlace place_of(const std::vector<OrbitCamera>& cameras, const FeatureTrack& track);
+
+/// What a fit's tracks cost: squared residuals (Huber's way) by their expected size, every place where it is best.
+double track_cost(const CoherenceFit& fit, const CoherencePass& pass);
+
+/// The same near the present state: cost + 2 gradient x + x' curvature x for a step x of the free parameters, the places themselves eliminated (Schur complement: what is left of the
+/// rows across the space that moving the place can reach; src/derivations.md, 8). Empty without tracks.
+struct TrackNormal {
+    Eigen::MatrixXd curvature;
+    Eigen::VectorXd gradient;
+    double cost = 0;
+    double after(const Eigen::VectorXd& x) const { return curvature.size() == 0 ? 0 : cost + 2 * gradient.dot(x) + x.dot(curvature * x); }
+};
+TrackNormal normal_of_tracks(const CoherenceFit& fit, const CoherencePass& pass, size_t free_parameters);
 
 /// Touches of given points in a state.
 std::vector<Touch> touches_of(Silhouettes& silhouettes, const OrbitModel& model, const std::vector<ContourPoint>& points, const CoherencePass& pass);

@@ -83,4 +83,13 @@ std::vector<uint8_t> encode_jpeg(ImageView<uint8_t> image, int quality, double f
     return bytes;
 }
 
+Image8 read_grey(const std::filesystem::path& file, const Intrinsics& intrinsics, const Lens& lens) {
+    Image8 photo = read_image8(file);
+    if (lens.distorts()) photo = undistort(photo.view(), intrinsics, lens, nullptr);
+    if (photo.channels == 1) return photo;
+    cv::Mat grey;
+    cv::cvtColor(wrap(photo.view()), grey, photo.channels == 4 ? cv::COLOR_RGBA2GRAY : cv::COLOR_RGB2GRAY);
+    return unwrap(grey);
+}
+
 }  // namespace vdbcarve::io

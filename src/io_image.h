@@ -29,6 +29,9 @@ Image8 undistort(ImageView<uint8_t> image, const Intrinsics& intrinsics, const L
 
 Photo undistort(const Photo& photo, const Intrinsics& intrinsics, const Lens& lens);
 
+/// Grey values of a photograph as a camera without distortion would have taken it, 8 bits.
+Image8 read_grey(const std::filesystem::path& file, const Intrinsics& intrinsics, const Lens& lens);
+
 /// What a camera with this lens sees of `image`, taken by the same camera without distortion but with `margin` more pixels on
 /// every side; the reverse of undistort. Linear interpolation.
 Image8 distort(ImageView<uint8_t> image, int margin, const Intrinsics& intrinsics, const Lens& lens);

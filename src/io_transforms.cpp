@@ -145,6 +145,7 @@ Imported read_checked(const fs::path& file, const json& top) {
         throw InputError(file.string() + ": 'up' is '" + out.up + "', none of x, y, z, -x, -y, -z");
     if (ours) {
         out.units = ours->value("units", "");
+        if (ours->contains("floor")) out.floor = ours->at("floor").get<double>();
         if (ours->contains("sittings")) {
             out.sittings.clear();
             for (const json& s : (*ours)["sittings"]) {
@@ -267,6 +268,7 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
     ours["schema"] = 1;
     ours["up"] = views.up;
     ours["units"] = views.units;
+    if (views.floor) ours["floor"] = *views.floor;
     json& sittings = ours["sittings"] = json::array();
     for (const Sitting& s : views.sittings) {
         sittings.push_back(

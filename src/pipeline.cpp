@@ -22,6 +22,7 @@
 #include "mesh_store.h"
 #include "sha256.h"
 #include "statistics.h"
+#include "text.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/decimate.h"
@@ -93,9 +94,12 @@ class Job {
         check_options();
         stage("views", [&] { load(); return false; });
         if (!o_.dry_run) open_output();
-        stage("mask", [&] { return masks(); });
+        // A mat is found in the photographs; masks then come from pictures whose lens is known.
+        const bool aligned_by_mat = o_.align.method == AlignMethod::Mat && o_.last_stage != LastStage::Mask;
+        if (aligned_by_mat) stage("align", [&] { return align_views(); });
+        if (!aligned_by_mat || o_.last_stage != LastStage::Align) stage("mask", [&] { return masks(); });
         if (o_.last_stage == LastStage::Mask) return finish();
-        if (!views_.posed || o_.align_again) stage("align", [&] { return align_views(); });
+        if (!aligned_by_mat && (!views_.posed || o_.align_again)) stage("align", [&] { return align_views(); });
         if (o_.last_stage == LastStage::Align) {
             place_alignment();
             return finish();
@@ -211,7 +215,7 @@ class Job {
         wanted.allow_unposed = true;
         views_ = load_views(wanted, progress_);
         if (!views_.posed && o_.align.method == AlignMethod::Refine) throw UsageError("--method refine improves cameras, and " + o_.views.scene.string() + " has none. Remedy: --cameras FILE, or --method coherence");
-        if (!views_.posed && o_.dry_run) throw UsageError("--dry-run: the scene has no cameras; what is to be carved is known once they are found. Remedy: vdbcarve align first");
+        if ((!views_.posed || o_.align.method == AlignMethod::Mat) && o_.dry_run) throw UsageError("--dry-run: the scene has no cameras; what is to be carved is known once they are found. Remedy: vdbcarve align first");
         // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
         if (o_.align_again && views_.sittings.size() > 1) throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
         if (o_.flat_base && up().empty()) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
@@ -349,7 +353,15 @@ class Job {
     bool align_views() {
         const AlignOptions& a = o_.align;
         Sha256 h;
-        h.add("align").add_value(kCodeVersion).add(mask_key_).add_value(a.method).add_value(a.orbit).add_value(a.direction);
+        h.add("align").add_value(kCodeVersion).add(mask_key_);
+        if (a.mat) {  // before there are masks
+            for (const View& v : views_.views) h.add(v.name).add(v.image_path.empty() ? "" : sha256_of_file(v.image_path)).add_value(v.lens.model);
+            h.add_value(a.mat->kind).add_value(a.mat->columns).add_value(a.mat->rows).add_value(a.mat->marker_m).add_value(a.mat->step_m).add(a.mat->dictionary);
+        }
+        h.add_value(a.features).add(a.paper_views[0]).add(a.paper_views[1]).add_value(a.known_length.has_value());
+        if (a.known_length)
+            h.add(a.known_length->view).add_value(a.known_length->from_px.x()).add_value(a.known_length->from_px.y()).add_value(a.known_length->to_px.x()).add_value(a.known_length->to_px.y()).add_value(a.known_length->length);
+        h.add_value(a.method).add_value(a.orbit).add_value(a.direction);
         for (double angle : a.angles_deg) h.add_value(angle);
         h.add_value(a.arc_deg).add_value(a.arc_known).add_value(a.rings.size());
         for (int r : a.rings) h.add_value(r);
@@ -361,13 +373,12 @@ class Job {
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         align_key_ = h.hex();
         const fs::path note_file = store_.path("align", align_key_, ".json"), cameras_file = store_.path("align", align_key_, ".cameras.json"), other_file = store_.path("align", align_key_, ".other.json"),
-                       svg_file = store_.path("align", align_key_, ".svg");
+                       svg_file = store_.path("align", align_key_, ".svg"), picture_file = store_.path("align", align_key_, ".png");
         const auto note = stage_note(note_file, {"align", "warnings"});
         const bool reused = note && fs::exists(cameras_file) && fs::exists(svg_file);
         if (!reused) {
             const size_t before = progress_.warnings().size();
-            std::vector<MaskView> masks(views_.views.size());
-            for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
+            const std::vector<MaskView> masks = a.mat ? std::vector<MaskView>() : used_mask_views();
             const AlignResult found = align(views_, masks, a, progress_);
             for (const std::string& w : found.warnings) progress_.warn(w);
             write_file(cameras_file, cameras_json(found.views));
@@ -378,6 +389,10 @@ class Job {
                 write_file(other_file, cameras_json(other));
             }
             write_file(svg_file, orbit_svg(found));
+            if (!found.picture.empty()) {
+                const auto png = io::encode_png(found.picture);
+                write_file(picture_file, png.data(), png.size());
+            }
             write_file(note_file, json{{"align", json::parse(alignment_json(found))}, {"warnings", warnings_since(before)}, {"up", found.views.up}, {"units", found.views.units}}.dump(1) + "\n");
         } else {
             warn_again(*note);
@@ -385,7 +400,10 @@ class Job {
         // Read back, also when just written: a run that goes on must see the bits that a run in one go saw.
         const json written = reused ? *note : parse_or_empty(note_file);
         report_["align"] = written["align"];
+        const auto left_out = report_["align"]["left_out"].get<std::vector<std::string>>();
+        std::erase_if(views_.views, [&](const View& v) { return std::find(left_out.begin(), left_out.end(), v.name) != left_out.end(); });
         take_cameras(views_, cameras_file);
+        align_picture_ = picture_file;
         views_.posed = true;
         views_.format = "align";
         views_.up = o_.views.up.empty() ? written.value("up", "") : o_.views.up;
@@ -411,33 +429,46 @@ class Job {
     static void take_cameras(Views& views, const fs::path& file) {
         const io::Imported read = io::read_transforms(file);
         views.sittings = read.sittings;
+        views.floor = read.floor;
         for (size_t i = 0; i < views.views.size(); ++i) {
             views.views[i].camera = read.views.at(i).view.camera;
             views.views[i].sitting = read.views[i].view.sitting;
+            views.views[i].lens = read.views[i].view.lens;
         }
     }
 
     void say_alignment() {
         const json& a = report_["align"];
-        char text[400];
-        std::snprintf(text, sizeof text, "cameras found: %s, object turning %s; contours %.2f px (rms) outside the others' hull, %.1f %% within half a pixel; focal length %.0f px; %s units", a["orbit"].get<std::string>().c_str(),
-                      a["direction"].get<std::string>().c_str(), a["residual_rms_px"].get<double>(), 100 * a["coherent_share"].get<double>(), a["focal_px"].get<double>(), a["units"].get<std::string>().c_str());
-        progress_.note(text);
+        if (o_.align.method == AlignMethod::Mat) {
+            progress_.note(text_of("cameras found from the mat in %zu views: its corners %.2f px (rms) from where they should be; focal length %.1f +- %.1f px; %s", views_.views.size(), a["residual_rms_px"].get<double>(), a["focal_px"].get<double>(),
+                                   a["focal_sd_px"].get<double>(), a["units"].get<std::string>().c_str()));
+            return;
+        }
+        progress_.note(text_of("cameras found: %s, object turning %s; contours %.2f px (rms) outside the others' hull, %.1f %% within half a pixel; focal length %.0f px; %s units", a["orbit"].get<std::string>().c_str(),
+                               a["direction"].get<std::string>().c_str(), a["residual_rms_px"].get<double>(), 100 * a["coherent_share"].get<double>(), a["focal_px"].get<double>(), a["units"].get<std::string>().c_str()));
+    }
+
+    /// Masks of the views that have one, by view.
+    std::vector<MaskView> used_mask_views() const {
+        std::vector<MaskView> masks(views_.views.size());
+        for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
+        return masks;
     }
 
     /// cameras.json, orbit.svg, and in preview.png the hull over the views that fit worst.
     void place_alignment(const fs::path& other_cameras = {}) {
         write_file(o_.output / "cameras.json", cameras_json(views_));
         if (!orbit_svg_.empty()) place_copy(orbit_svg_, o_.output / "orbit.svg");
+        if (fs::exists(align_picture_)) place_copy(align_picture_, o_.output / (report_["align"]["picture"].get<std::string>() + ".png"));
+        if (used_.empty()) return;  // found without masks: there is no hull to be shown
         std::map<std::string, double> residual;
         for (const json& v : report_["align"]["views"]) residual[v["name"]] = v["residual_px"];
         std::vector<size_t> worst = used_;
         std::stable_sort(worst.begin(), worst.end(), [&](size_t a, size_t b) { return residual[views_.views[a].name] > residual[views_.views[b].name]; });
         worst.resize(std::min<size_t>(worst.size(), 12));
         std::vector<std::string> names;
-        std::vector<MaskView> masks(views_.views.size());
         for (const View& v : views_.views) names.push_back(v.name);
-        for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
+        const std::vector<MaskView> masks = used_mask_views();
         const auto sheet = [&](const Views& views, const fs::path& file) {
             fs::remove(file);  // an earlier run's
             try {
@@ -467,7 +498,7 @@ class Job {
 
     void plan_key() {
         Sha256 h;
-        h.add("carve").add_value(kCodeVersion).add(mask_key_).add(views_.units).add(views_.up).add_value(o_.distance.silhouette_offset_px);
+        h.add("carve").add_value(kCodeVersion).add(mask_key_).add(views_.units).add(views_.up).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.distance.silhouette_offset_px);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         h.add_value(o_.resolution).add_value(o_.voxel_size).add_value(o_.max_misses).add_value(o_.min_seen);
         h.add_value(o_.outside_is_background).add_value(o_.occupancy).add_value(o_.half_width_vox).add_value(o_.field_scale);
@@ -752,6 +783,17 @@ class Job {
         return median(sizes);
     }
 
+    /// Below the floor cones go on to where they end; that is cut off the surface, and need not be carved. A little below stays, for the cut to lie within.
+    void clip_at_floor(Box3d& box) const {
+        const Vec3d axis = up_direction();
+        int along = 0;
+        if (axis.cwiseAbs().maxCoeff(&along) < 1 - 1e-9) return;
+        const double below = *views_.floor * axis[along] - 0.03 * axis[along] * box.sizes().maxCoeff();
+        double& end = axis[along] > 0 ? box.min()[along] : box.max()[along];
+        const double clipped = axis[along] > 0 ? std::max(end, below) : std::min(end, below);
+        if (axis[along] > 0 ? clipped < box.max()[along] : clipped > box.min()[along]) end = clipped;
+    }
+
     /// Fills carve_ and the report's grid from bounds, resolution and the like.
     void plan_grid() {
         carve_.max_misses = o_.max_misses;
@@ -761,6 +803,7 @@ class Job {
         carve_.half_width_vox = o_.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
         Box3d box = o_.bounds ? *o_.bounds : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
+        if (views_.floor && !o_.bounds) clip_at_floor(box);
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
@@ -863,7 +906,7 @@ class Job {
         g["node_tests"] = s.node_tests;
         g["voxel_lookups"] = s.voxel_lookups;
         g["clipped_share"] = s.clipped_share;
-        if (s.clipped_share > 0)
+        if (s.clipped_share > 0 && (o_.bounds || !views_.floor))  // what a floor clips is cut off anyway
             progress_.warn("the bounds cut the object: " + std::to_string(100 * s.clipped_share).substr(0, 4) + " % of the surface is their flat cap");
         hull_ = result.hull;
         occupancy_ = result.occupancy;
@@ -897,7 +940,7 @@ class Job {
 
     bool make_surface() {
         Sha256 h;
-        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).add_value(o_.flat_base).add(o_.flat_base ? up() : "").hex();
+        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).add_value(o_.flat_base).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add(o_.flat_base || views_.floor ? up() : "").hex();
         const fs::path file = store_.path("surface", surface_key_, ".vdb"), note_file = store_.path("surface", surface_key_, ".json");
         if (const auto note = stage_note(note_file, {"warnings"}); note && fs::exists(file)) {
             surface_ = read_float_grid(file, "surface");
@@ -922,6 +965,10 @@ class Job {
             if (!done) surface_ = level_set(std::move(hull_), options, progress_);
         }
         hull_.reset();
+        if (views_.floor) {
+            surface_ = cut_flat(std::move(surface_), up_direction(), *views_.floor, progress_);
+            surface_on_device_ = false;
+        }
         if (o_.flat_base) {
             const SeenExtent seen = seen_silhouettes();
             if (seen.bottom_seen) {
@@ -937,9 +984,7 @@ class Job {
     }
 
     SeenExtent seen_silhouettes() const {
-        std::vector<MaskView> masks(views_.views.size());
-        for (const size_t u : used_) masks[u] = view_of(masks_.masks[u]);
-        return seen_extent(*surface_, views_.cameras(), masks, up_direction());
+        return seen_extent(*surface_, views_.cameras(), used_mask_views(), up_direction());
     }
 
     // --------------------------------------------------------------------------------------- filter
@@ -1510,6 +1555,7 @@ class Job {
     std::vector<std::string> mask_names_;
     std::vector<size_t> used_;  ///< indices of views with a mask
     std::string align_key_;
+    fs::path align_picture_;
     fs::path orbit_svg_;        ///< of the cameras that were found
     std::vector<DistanceField> fields_;
     std::vector<MaskView> used_masks_;  ///< of inputs_

@@ -244,6 +244,7 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
     out.sittings = imported.sittings;
     out.up = options.up.empty() ? imported.up : options.up;
     out.units = options.units.empty() ? imported.units : options.units;
+    if (out.up == imported.up) out.floor = imported.floor;  // a height along the file's own axis
     out.metric = imported.metric;
 
     const bool nameless = std::all_of(imported.views.begin(), imported.views.end(),

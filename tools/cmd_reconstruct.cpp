@@ -17,7 +17,7 @@ namespace {
 struct Raw {
     ReconstructOptions options;
     std::string bounds, grid, origin;
-    std::string angles, rings, sittings, principal_point;
+    std::string angles, rings, sittings, principal_point, mat, paper_views, known_length;
     double pass_band = 0;
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
@@ -68,6 +68,19 @@ void read_alignment(Raw& raw) {
         a.principal_point_px = Vec2d(p[0], p[1]);
     }
     a.units = raw.options.views.units;
+    if (!raw.mat.empty()) a.mat = read_mat(raw.mat);
+    if (!raw.paper_views.empty()) {
+        const size_t comma = raw.paper_views.find(',');
+        if (comma == std::string::npos) throw UsageError("--paper-views " + raw.paper_views + ": two names are expected, like 01,10");
+        a.paper_views = {raw.paper_views.substr(0, comma), raw.paper_views.substr(comma + 1)};
+    }
+    if (!raw.known_length.empty()) {
+        const std::string& text = raw.known_length;
+        const size_t last = text.rfind(':'), first = last == std::string::npos || last == 0 ? std::string::npos : text.rfind(':', last - 1);
+        if (first == std::string::npos || first == 0) throw UsageError("--known-length " + text + ": like 01:100,200,300,200:50 is expected");
+        const auto p = numbers("--known-length", text.substr(first + 1, last - first - 1), 4);
+        a.known_length = KnownLength{text.substr(0, first), {p[0], p[1]}, {p[2], p[3]}, numbers("--known-length", text.substr(last + 1), 1)[0]};
+    }
 }
 
 void read_raw(Raw& raw) {
@@ -163,13 +176,16 @@ namespace {
 void add_alignment(CLI::App& app, Raw& raw) {
     AlignOptions& a = raw.options.align;
     const char* group = "Alignment (without a camera file, or with --method)";
-    static const std::map<std::string, AlignMethod> methods{{"coherence", AlignMethod::Coherence}, {"refine", AlignMethod::Refine}};
+    static const std::map<std::string, AlignMethod> methods{{"coherence", AlignMethod::Coherence}, {"refine", AlignMethod::Refine}, {"mat", AlignMethod::Mat}, {"paper", AlignMethod::Paper}};
     app.add_option_function<std::string>("--method", [&raw](const std::string& text) {
            const auto found = methods.find(text);
-           if (found == methods.end()) throw UsageError("--method " + text + ": is none of coherence, refine");
+           if (found == methods.end()) throw UsageError("--method " + text + ": is none of coherence, refine, mat, paper");
            raw.options.align.method = found->second;
            raw.options.align_again = true;
-       }, "how cameras are found: coherence (of silhouettes, from an orbit), refine (the same, from the camera file's)")->group(group);
+       }, "how cameras are found: coherence (of silhouettes, from an orbit; default), refine (silhouettes and texture, from the camera file's), mat (markers under the object, see board), paper (Denkowski 2013, for comparison)")->group(group);
+    app.add_option("--mat", raw.mat, "the mat that the object stands on: the .json written beside the print, grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)")->group(group);
+    app.add_flag("--features,!--no-features", a.features, "use the photographs' texture too: fitted by refine, asked for the direction by coherence (default)")->group(group);
+    app.add_option("--paper-views", raw.paper_views, "A,B: names of the views of the front and of a quarter turn on, for --method paper")->group(group);
     static const std::map<std::string, Orbit> orbits{{"auto", Orbit::Auto}, {"turntable", Orbit::Turntable}, {"fixed-camera", Orbit::FixedCamera}, {"hand-held", Orbit::HandHeld}};
     app.add_option("--orbit", a.orbit, "who moves: turntable (by known steps), fixed-camera (steps uneven), hand-held; auto: the simplest that explains what it was not fitted to")
         ->transform(CLI::CheckedTransformer(orbits, CLI::ignore_case))->group(group);
@@ -194,6 +210,7 @@ void add_alignment(CLI::App& app, Raw& raw) {
     app.add_flag("--centre-varies", a.centre_varies, "every view has its own principal point (a stabiliser's crop)")->group(group);
     app.add_option("--known-height", a.known_height, "of the object along the axis, in --units: gives the scale")->check(CLI::PositiveNumber)->group(group);
     app.add_option("--known-distance", a.known_distance, "of the cameras from the object's middle, in --units: gives the scale")->check(CLI::PositiveNumber)->group(group);
+    app.add_option("--known-length", raw.known_length, "VIEW:X1,Y1,X2,Y2:LENGTH: two pixels of a view and how far apart, in --units, the places are that they show: gives the scale")->group(group);
     app.add_option("--restarts", a.restarts, "times to start again from disturbed angles, to see what is left open")->capture_default_str()->check(CLI::Range(0, 20))->group(group);
     app.add_flag("--accept-unobservable", raw.options.accept_unobservable, "go on with cameras that the silhouettes do not determine")->group(group);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stage `align`: cameras from silhouettes alone, for photographs of an object that turned, or was walked around.
+// Stage `align`: cameras from silhouettes alone, for photographs of an object that turned, or was walked around; or from a marker mat under it.
 //
 // Silhouette coherence: the line of sight through any point of a silhouette's contour touches the object, so it must touch the hull of
 // all other silhouettes. How far it stays outside, in pixels, is minimised over all cameras (src/align.md).
@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "vdbcarve/board.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
 #include "vdbcarve/progress.h"
@@ -20,7 +21,9 @@ namespace vdbcarve {
 
 enum class AlignMethod {
     Coherence,  ///< from the silhouettes and what is known of the motion
-    Refine      ///< from the cameras that the views have already, which are near the truth
+    Refine,     ///< from the cameras that the views have already, which are near the truth
+    Mat,        ///< from a mat of markers that the object stands on
+    Paper       ///< the seed paper's: a model of two views, turned until it looks like each photograph (src/paper.md)
 };
 const char* name_of(AlignMethod method);
 
@@ -38,6 +41,13 @@ const char* name_of(Orbit orbit);
 enum class Turn { Auto, Clockwise, Counterclockwise };
 const char* name_of(Turn turn);
 
+/// Two places in one photograph whose distance on the object's surface, in a straight line, is known.
+struct KnownLength {
+    std::string view;          ///< its name, with or without extension
+    Vec2d from_px, to_px;
+    double length = 0;         ///< in the units wanted
+};
+
 struct AlignOptions {
     AlignMethod method = AlignMethod::Coherence;
     Orbit orbit = Orbit::Auto;
@@ -54,7 +64,11 @@ struct AlignOptions {
     bool centre_varies = false;         ///< every view has its own principal point, near the others' (a stabiliser's crop)
     double known_distance = 0;          ///< median, of the cameras from the object's middle, in the units wanted; 0: unknown
     double known_height = 0;            ///< of the object along the axis, likewise
-    std::string units;                  ///< of known_distance or known_height; empty: arbitrary
+    std::optional<KnownLength> known_length;
+    std::string units;                  ///< of the known length; empty: arbitrary. Of a mat: what metres are turned into
+    std::optional<MatLayout> mat;       ///< AlignMethod::Mat
+    bool features = true;               ///< where photographs have texture: with Refine they are fitted too, and they may decide the direction
+    std::array<std::string, 2> paper_views;  ///< AlignMethod::Paper: views of the front and the side; empty: the first, and the one a quarter of the turn on
     int points = 150;                   ///< contour points a view
     int restarts = 2;                   ///< from disturbed angles, to see what the silhouettes leave open; 0: none
     uint64_t seed = 1;
@@ -96,6 +110,7 @@ struct AlignResult {
     double other_direction_px = 0;   ///< rms with the object turning the other way; 0: not tried
     double azimuth_spread_deg = 0;   ///< rms over restarts and views
     bool angles_observable = true;
+    int symmetry = 1;                ///< the silhouettes look (nearly) the same after this part of a turn: 2, 3 or 4
     std::vector<AlignRung> rungs;
     std::vector<AlignedView> aligned;
     /// Cameras for the other direction, where the direction is undecided; empty otherwise.
@@ -104,11 +119,18 @@ struct AlignResult {
     /// Why the shape must not be trusted; empty: it may.
     std::vector<std::string> failures;
     std::vector<std::string> warnings;
+    std::vector<std::string> left_out;   ///< Mat: views in which it is not seen well enough; they are not in `views`
+    size_t features = 0;                 ///< tracks of features that were fitted (Refine), or matches that voted for the direction (Coherence)
+    double features_rms_px = 0;          ///< of their reprojection
+    double features_near = 0;            ///< share of the matches whose place lies on the side of the object that the cameras see
+    double focal_sd_px = 0;              ///< Mat: its standard error
+    std::string picture_name;            ///< what `picture` shows: "mat" (corners found), "energy_map" (Paper)
+    Image8 picture;
 };
 
 /// Finds the cameras. `views` give names, image sizes and, where known, focal lengths (their poses are looked at by AlignMethod::Refine only, whose result
-/// lies in their world); masks[i] belongs to
-/// views.views[i]; views with an empty mask get the camera of their nominal place. Same bits for any number of threads. Time: about
+/// lies in their world); masks[i] belongs to views.views[i]; views with an empty mask get the camera of their nominal place. AlignMethod::Mat needs photographs
+/// and no masks. Same bits for any number of threads. Time: about
 /// views^2 * points * 10 us. Throws InputError for fewer than 4 views with a silhouette, UsageError for options that contradict each other.
 AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress);
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -38,6 +39,7 @@ struct Views {
     std::string format;                 ///< name of the importer
     std::string up;                     ///< world up axis: "x", "y", "z", "-x", … or empty when unknown
     std::string units;                  ///< length unit of the world, or empty when unknown
+    std::optional<double> floor;        ///< height along `up` of what the object stands on: nothing of it is lower
     std::vector<std::string> left_out;  ///< names of views without an image (allow_missing)
     bool metric = true;                 ///< false: a projective world, without angles and distances
     bool posed = true;                  ///< false: there was no camera file; focal lengths may be 0 (unknown), poses mean nothing

@@ -1,0 +1,476 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "align_mat.h"
+
+#include <tbb/parallel_for.h>
+
+#include <Eigen/Dense>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <numbers>
+#include <numeric>
+#include <opencv2/calib3d.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "aruco.h"
+#include "opencv_image.h"
+#include "statistics.h"
+#include "text.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/export.h"
+
+namespace vdbcarve {
+namespace {
+
+constexpr size_t kLeastCorners = 8;
+
+/// What one photograph shows of the mat.
+struct Seen {
+    size_t view = 0;
+    std::vector<int> groups;
+    std::vector<cv::Point3f> layout_m;  ///< where the layout has the corners
+    std::vector<cv::Point3f> world_m;   ///< where the print has them, as far as is known
+    std::vector<cv::Point2f> image_px;
+
+    template <class Keep>
+    Seen only(const Keep& keep) const {
+        Seen out;
+        out.view = view;
+        for (size_t k = 0; k < groups.size(); ++k)
+            if (keep(k)) out.groups.push_back(groups[k]), out.layout_m.push_back(layout_m[k]), out.world_m.push_back(world_m[k]), out.image_px.push_back(image_px[k]);
+        return out;
+    }
+};
+
+struct Calibration {
+    cv::Mat k, distortion;
+    std::vector<cv::Mat> rvecs, tvecs;
+    double focal_sd_px = 0;
+};
+
+/// Distances between corners seen and corners as the calibration puts them, pixels.
+std::vector<double> errors_of(const Calibration& c, size_t index, const Seen& s) {
+    std::vector<cv::Point2f> projected;
+    cv::projectPoints(s.world_m, c.rvecs[index], c.tvecs[index], c.k, c.distortion, projected);
+    std::vector<double> out;
+    for (size_t k = 0; k < projected.size(); ++k) out.push_back(std::hypot(projected[k].x - s.image_px[k].x, projected[k].y - s.image_px[k].y));
+    return out;
+}
+
+double rms(const std::vector<double>& values) { return values.empty() ? 0 : std::sqrt(std::inner_product(values.begin(), values.end(), values.begin(), 0.0) / static_cast<double>(values.size())); }
+
+/// A lens by how many of its quantities are free; each has those of the one before.
+struct LensRung {
+    const char* name;
+    int fixed;
+};
+constexpr int kPinhole = cv::CALIB_FIX_ASPECT_RATIO | cv::CALIB_ZERO_TANGENT_DIST | cv::CALIB_FIX_K3;
+const LensRung kLensRungs[] = {{"focal length", kPinhole | cv::CALIB_FIX_PRINCIPAL_POINT | cv::CALIB_FIX_K1 | cv::CALIB_FIX_K2},
+                               {"and k1", kPinhole | cv::CALIB_FIX_PRINCIPAL_POINT | cv::CALIB_FIX_K2},
+                               {"and principal point", kPinhole | cv::CALIB_FIX_K2},
+                               {"and k2", kPinhole}};
+
+class Calibrator {
+  public:
+    Calibrator(const Views& views, const AlignOptions& o) : intrinsics_(views.views.front().camera.intrinsics), size_(intrinsics_.width_px, intrinsics_.height_px) {
+        focal_px_ = o.fov_deg > 0 ? 0.5 * size_.width / std::tan(o.fov_deg * std::numbers::pi / 360) : intrinsics_.fx > 0 ? intrinsics_.fx : 0;
+        centre_ = o.principal_point_px.value_or(intrinsics_.fx > 0 ? Vec2d(intrinsics_.cx, intrinsics_.cy) : Vec2d(0.5 * size_.width, 0.5 * size_.height));
+        centre_known_ = o.principal_point_px.has_value();
+        calibrated_ = views.posed;
+    }
+    bool calibrated() const { return calibrated_; }
+
+    /// All views together.
+    Calibration fit(const std::vector<Seen>& seen, const LensRung& rung) const {
+        Calibration out;
+        const double f = focal_px_ > 0 ? focal_px_ : 1.2 * std::max(size_.width, size_.height);
+        out.k = (cv::Mat_<double>(3, 3) << f, 0, centre_.x(), 0, f, centre_.y(), 0, 0, 1);
+        out.distortion = cv::Mat::zeros(1, 5, CV_64F);
+        std::vector<std::vector<cv::Point3f>> world;
+        std::vector<std::vector<cv::Point2f>> image;
+        for (const Seen& s : seen) world.push_back(s.world_m), image.push_back(s.image_px);
+        if (calibrated_) {
+            out.k = (cv::Mat_<double>(3, 3) << intrinsics_.fx, intrinsics_.skew, intrinsics_.cx, 0, intrinsics_.fy, intrinsics_.cy, 0, 0, 1);
+            out.rvecs.resize(seen.size());
+            out.tvecs.resize(seen.size());
+        } else {
+            cv::Mat sd, unused, errors;
+            // Whether the plane's homographies say a good focal length to start from depends on how the mat was seen; so both starts are tried.
+            double best = std::numeric_limits<double>::infinity();
+            const Calibration blank = out;
+            for (const int guess : {0, static_cast<int>(cv::CALIB_USE_INTRINSIC_GUESS)}) {
+                Calibration c{blank.k.clone(), blank.distortion.clone(), {}, {}, 0};
+                // Where the principal point is held, the guess carries it.
+                if (guess == 0 && (centre_known_ || focal_px_ > 0)) continue;
+                const int flags = rung.fixed | guess | (centre_known_ ? static_cast<int>(cv::CALIB_FIX_PRINCIPAL_POINT) : 0);
+                const double found = cv::calibrateCamera(world, image, size_, c.k, c.distortion, c.rvecs, c.tvecs, sd, unused, errors, flags, {cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-10});
+                if (std::isfinite(found) && found < best) {
+                    best = found;
+                    c.focal_sd_px = std::max(sd.at<double>(0), sd.at<double>(1));  // one of them is tied to the other
+                    out = c;
+                }
+            }
+            if (!std::isfinite(best)) throw UndeterminedError("--method mat: the camera cannot be calibrated from these views of the mat. Remedy: --fov, and views from several heights");
+        }
+        // A plane seen from afar has two places that look almost alike: the better one, for every view.
+        for (size_t i = 0; i < seen.size(); ++i) {
+            std::vector<cv::Mat> rs, ts;
+            cv::solvePnPGeneric(world[i], image[i], out.k, out.distortion, rs, ts, false, cv::SOLVEPNP_IPPE);
+            double best = std::numeric_limits<double>::infinity();
+            if (!calibrated_) best = rms(errors_of(out, i, seen[i]));
+            for (size_t s = 0; s < rs.size(); ++s) {
+                Calibration c = out;
+                cv::solvePnPRefineLM(world[i], image[i], out.k, out.distortion, rs[s], ts[s]);
+                c.rvecs[i] = rs[s], c.tvecs[i] = ts[s];
+                const double e = rms(errors_of(c, i, seen[i]));
+                if (e < 0.99 * best) best = e, out.rvecs[i] = rs[s], out.tvecs[i] = ts[s];
+            }
+        }
+        return out;
+    }
+
+  private:
+    Intrinsics intrinsics_;
+    cv::Size size_;
+    double focal_px_ = 0;
+    Vec2d centre_;
+    bool centre_known_ = false, calibrated_ = false;
+};
+
+/// A print as it came out of the printer.
+using Print = std::map<std::pair<float, float>, cv::Point3f>;  // by place in the layout
+
+void set_print(std::vector<Seen>& seen, const Print& print) {
+    for (Seen& s : seen)
+        for (size_t k = 0; k < s.layout_m.size(); ++k)
+            if (const auto at = print.find({s.layout_m[k].x, s.layout_m[k].y}); at != print.end()) s.world_m[k] = at->second;
+}
+
+/// Calibration by Gauss and Newton's method on everything together, poses and lens, and, where `print` is given, on where the corners really are: printers stretch paper, and paper
+/// is not flat (Strobl and Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", ICCV workshops 2011). Corners are held near the layout
+/// by priors, which keep the world's place and size.
+void bundle(Calibration& c, std::vector<Seen>& seen, bool lens_free, Print* print) {
+    constexpr double kCorner_px = 0.3, kInPlane_m = 0.001, kOffPlane_m = 0.005;
+    std::map<std::pair<float, float>, int> corner_of;
+    if (print)
+        for (const Seen& s : seen)
+            for (const cv::Point3f& p : s.layout_m) corner_of.try_emplace({p.x, p.y}, 0);
+    const int poses = static_cast<int>(6 * seen.size()), lens = lens_free ? 5 : 0;  // f, cx, cy, k1, k2
+    int size = poses + lens;
+    for (auto& [key, at] : corner_of) at = size, size += 3;
+    double last = std::numeric_limits<double>::infinity(), damping = 1e-6;
+    for (int iteration = 0; iteration < 30; ++iteration) {
+        Eigen::MatrixXd h = Eigen::MatrixXd::Zero(size, size);
+        Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
+        double cost = 0;
+        for (size_t i = 0; i < seen.size(); ++i) {
+            cv::Mat jacobian, rotation;
+            std::vector<cv::Point2f> projected;
+            cv::projectPoints(seen[i].world_m, c.rvecs[i], c.tvecs[i], c.k, c.distortion, projected, jacobian);
+            cv::Rodrigues(c.rvecs[i], rotation);
+            for (size_t k = 0; k < projected.size(); ++k) {
+                const double dx = projected[k].x - seen[i].image_px[k].x, dy = projected[k].y - seen[i].image_px[k].y;
+                const double off = std::hypot(dx, dy) / kCorner_px, weight = (off < 3 ? 1 : 3 / off) / (kCorner_px * kCorner_px);  // Huber's
+                cost += weight * (dx * dx + dy * dy);
+                std::vector<int> at;
+                std::vector<Vec2d> by;
+                const auto column = [&](int from) { return Vec2d(jacobian.at<double>(static_cast<int>(2 * k), from), jacobian.at<double>(static_cast<int>(2 * k + 1), from)); };
+                for (int q = 0; q < 6; ++q) at.push_back(static_cast<int>(6 * i) + q), by.push_back(column(q));
+                if (lens_free) {
+                    at.push_back(poses), by.push_back(column(6) + column(7));
+                    for (int q = 1; q < 5; ++q) at.push_back(poses + q), by.push_back(column(7 + q));
+                }
+                if (print) {
+                    const int first = corner_of.at({seen[i].layout_m[k].x, seen[i].layout_m[k].y});
+                    for (int q = 0; q < 3; ++q) {
+                        Vec2d sum = Vec2d::Zero();
+                        for (int r = 0; r < 3; ++r) sum += rotation.at<double>(r, q) * column(3 + r);  // as the translation moves it
+                        at.push_back(first + q), by.push_back(sum);
+                    }
+                }
+                for (size_t p = 0; p < at.size(); ++p) {
+                    g[at[p]] += weight * by[p].dot(Vec2d(dx, dy));
+                    for (size_t q = 0; q < at.size(); ++q) h(at[p], at[q]) += weight * by[p].dot(by[q]);
+                }
+            }
+        }
+        for (const auto& [key, first] : corner_of) {
+            const cv::Point3f now = print->count(key) ? print->at(key) : cv::Point3f(key.first, key.second, 0);
+            const double off[3] = {now.x - key.first, now.y - key.second, now.z}, sigma[3] = {kInPlane_m, kInPlane_m, kOffPlane_m};
+            for (int q = 0; q < 3; ++q) {
+                h(first + q, first + q) += 1 / (sigma[q] * sigma[q]);
+                g[first + q] += off[q] / (sigma[q] * sigma[q]);
+                cost += off[q] * off[q] / (sigma[q] * sigma[q]);
+            }
+        }
+        if (lens_free) c.focal_sd_px = std::sqrt(h.ldlt().solve(Eigen::VectorXd::Unit(size, poses))[poses]);
+        if (cost > (1 - 1e-5) * last && iteration > 4) break;
+        damping = cost < last ? damping * 0.3 : damping * 10;
+        last = cost;
+        Eigen::MatrixXd damped = h;
+        damped.diagonal() *= 1 + damping;
+        const Eigen::VectorXd step = -damped.ldlt().solve(g);
+        for (size_t i = 0; i < seen.size(); ++i)
+            for (int q = 0; q < 3; ++q) {
+                c.rvecs[i].at<double>(q) += step[static_cast<Eigen::Index>(6 * i) + q];
+                c.tvecs[i].at<double>(q) += step[static_cast<Eigen::Index>(6 * i) + 3 + q];
+            }
+        if (lens_free) {
+            c.k.at<double>(0, 0) += step[poses], c.k.at<double>(1, 1) += step[poses];
+            c.k.at<double>(0, 2) += step[poses + 1], c.k.at<double>(1, 2) += step[poses + 2];
+            c.distortion.at<double>(0) += step[poses + 3], c.distortion.at<double>(1) += step[poses + 4];
+        }
+        for (const auto& [key, first] : corner_of) {
+            cv::Point3f& at = print->try_emplace(key, cv::Point3f(key.first, key.second, 0)).first->second;
+            at.x += static_cast<float>(step[first]), at.y += static_cast<float>(step[first + 1]), at.z += static_cast<float>(step[first + 2]);
+        }
+        if (print) set_print(seen, *print);
+    }
+}
+
+Image8 grey_of(const View& view) { return io::read_grey(view.image_path, view.camera.intrinsics, view.lens); }
+
+/// The views that fit worst, with the corners found (green) and where the cameras put all of the mat's corners (red).
+Image8 picture_of(const Views& views, const std::vector<Seen>& seen, const Calibration& c, const std::vector<double>& errors_px) {
+    std::vector<size_t> order(seen.size());
+    std::iota(order.begin(), order.end(), size_t{0});
+    std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return errors_px[a] > errors_px[b]; });
+    order.resize(std::min<size_t>(order.size(), 6));
+    constexpr int kWidth = 640;
+    std::vector<cv::Mat> tiles;
+    for (const size_t i : order) {
+        const Image8 grey = grey_of(views.views[seen[i].view]);
+        cv::Mat tile;
+        const double scale = static_cast<double>(kWidth) / grey.width;
+        cv::resize(io::wrap(grey.view()), tile, {}, scale, scale, cv::INTER_AREA);
+        cv::cvtColor(tile, tile, cv::COLOR_GRAY2RGB);
+        std::vector<cv::Point2f> projected;
+        cv::projectPoints(seen[i].world_m, c.rvecs[i], c.tvecs[i], c.k, c.distortion, projected);
+        constexpr int kShift = 4;  // fractions of a pixel
+        const auto at = [&](const cv::Point2f& p) { return cv::Point(static_cast<int>(std::lround((p.x * scale - 0.5) * (1 << kShift))), static_cast<int>(std::lround((p.y * scale - 0.5) * (1 << kShift)))); };
+        for (size_t k = 0; k < projected.size(); ++k) {
+            cv::circle(tile, at(seen[i].image_px[k]), 3 << kShift, {0, 200, 0}, 1, cv::LINE_AA, kShift);
+            cv::line(tile, at(seen[i].image_px[k]), at(projected[k]), {255, 0, 0}, 1, cv::LINE_AA, kShift);
+        }
+        std::vector<cv::Point2f> axes;
+        const auto length = static_cast<float>(0.05);
+        cv::projectPoints(std::vector<cv::Point3f>{{0, 0, 0}, {length, 0, 0}, {0, length, 0}, {0, 0, length}}, c.rvecs[i], c.tvecs[i], c.k, c.distortion, axes);
+        const cv::Scalar colours[] = {{255, 0, 0}, {0, 200, 0}, {60, 60, 255}};
+        for (int a = 0; a < 3; ++a) cv::line(tile, at(axes[0]), at(axes[static_cast<size_t>(a) + 1]), colours[a], 2, cv::LINE_AA, kShift);
+        cv::putText(tile, views.views[seen[i].view].name + text_of("  %.2f px", errors_px[i]), {8, 20}, cv::FONT_HERSHEY_SIMPLEX, 0.5, {255, 255, 0}, 1, cv::LINE_AA);
+        tiles.push_back(tile);
+    }
+    int rows = 0, height = 0;
+    for (const cv::Mat& t : tiles) height = std::max(height, t.rows);
+    rows = (static_cast<int>(tiles.size()) + 1) / 2;
+    cv::Mat sheet(rows * height, 2 * kWidth, CV_8UC3, cv::Scalar(0, 0, 0));
+    for (size_t t = 0; t < tiles.size(); ++t) tiles[t].copyTo(sheet({static_cast<int>(t % 2) * kWidth, static_cast<int>(t / 2) * height, tiles[t].cols, tiles[t].rows}));
+    return io::unwrap(sheet);
+}
+
+}  // namespace
+
+AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& progress) {
+    const MatLayout& mat = *o.mat;
+    const double metres = o.units.empty() ? 1 : metres_per(o.units).value_or(0);
+    if (metres == 0) throw UsageError("--units " + o.units + ": a mat is measured in metres; what those are in this unit is not known. Remedy: m, cm, mm, inch");
+    progress.begin("align", static_cast<int>(given.views.size()) + 4);
+    // ---------------------------------------------------------------------------------- corners
+    std::vector<Seen> all(given.views.size());
+    for (const View& v : given.views) {
+        if (v.image_path.empty()) throw InputError("--method mat: view " + v.name + " has no photograph to find the mat in");
+        const Intrinsics &k = v.camera.intrinsics, &first = given.views.front().camera.intrinsics;
+        if (!given.posed && (k.width_px != first.width_px || k.height_px != first.height_px))
+            throw InputError(text_of("--method mat: %s has %d x %d pixels and %s %d x %d: one camera at one focus, held one way, is calibrated. Remedy: sort them into one run each", v.name.c_str(), k.width_px, k.height_px,
+                                     given.views.front().name.c_str(), first.width_px, first.height_px));
+    }
+    tbb::parallel_for(size_t{0}, given.views.size(), [&](size_t i) {
+        progress.check();
+        all[i].view = i;
+        for (const MatCorner& c : find_mat(mat, grey_of(given.views[i]).view())) {
+            all[i].groups.push_back(c.group);
+            all[i].layout_m.emplace_back(static_cast<float>(c.mat_m.x() - 0.5 * mat.width_m()), static_cast<float>(0.5 * mat.height_m() - c.mat_m.y()), 0.f);
+            all[i].image_px.emplace_back(static_cast<float>(c.image_px.x()), static_cast<float>(c.image_px.y()));
+        }
+        all[i].world_m = all[i].layout_m;
+        progress.step(1);
+    });
+    AlignResult out;
+    out.method = o.method;
+    out.orbit = Orbit::HandHeld;
+    std::vector<Seen> seen;
+    const auto enough = [](const Seen& s) {
+        if (s.groups.size() < kLeastCorners) return false;
+        // Not all on a line, or nearly so.
+        cv::Mat points(static_cast<int>(s.world_m.size()), 2, CV_32F);
+        for (size_t k = 0; k < s.world_m.size(); ++k) points.at<float>(static_cast<int>(k), 0) = s.world_m[k].x, points.at<float>(static_cast<int>(k), 1) = s.world_m[k].y;
+        const cv::PCA axes(points, cv::noArray(), cv::PCA::DATA_AS_ROW);
+        return axes.eigenvalues.at<float>(1) > 0.003F * axes.eigenvalues.at<float>(0);
+    };
+    for (const Seen& s : all)
+        if (enough(s)) seen.push_back(s);
+    if (seen.size() < 4)
+        throw InputError(text_of("--method mat: the mat (%d x %d, %s) is seen in %zu of %zu views; at least 4 are needed. Remedy: check --mat against the print (a layout file beside it says it), sharper photographs, more of the mat in frame", mat.columns,
+                                 mat.rows, mat.dictionary.c_str(), seen.size(), given.views.size()));
+    const Calibrator calibrator(given, o);
+    // ---------------------------------------------------------------------------------- lens
+    const LensRung* rung = &kLensRungs[0];
+    if (!calibrator.calibrated()) {
+        // Each rung is fitted to half of the markers and judged by the others.
+        std::vector<Seen> fitted, held;
+        for (const Seen& s : seen) {
+            const auto half = [&](int which) { return s.only([&](size_t k) { return s.groups[k] % 2 == which; }); };
+            if (enough(half(0)) && !half(1).groups.empty()) fitted.push_back(half(0)), held.push_back(half(1));
+        }
+        double least = std::numeric_limits<double>::infinity();
+        for (const LensRung& r : kLensRungs) {
+            if (fitted.size() < 4) break;
+            const Calibration c = calibrator.fit(fitted, r);
+            std::vector<double> errors;
+            for (size_t i = 0; i < held.size(); ++i)
+                for (double e : errors_of(c, i, held[i])) errors.push_back(e);
+            const double found = percentile(errors, 0.8);
+            progress.detail(text_of("lens: %s: held-out corners within %.3f px (80 %%), f %.1f +- %.1f, centre %.1f %.1f, k1 %.4f k2 %.4f", r.name, found, c.k.at<double>(0, 0), c.focal_sd_px, c.k.at<double>(0, 2), c.k.at<double>(1, 2),
+                                    c.distortion.at<double>(0), c.distortion.at<double>(1)));
+            if (found < 0.95 * least - 0.002) least = found, rung = &r;
+        }
+    }
+    progress.step(1);
+    // ---------------------------------------------------------------------------------- places
+    Calibration c;
+    std::vector<double> errors_px;
+    for (int round = 0; round < 4; ++round) {
+        c = calibrator.fit(seen, *rung);
+        std::vector<double> every;
+        errors_px.clear();
+        for (size_t i = 0; i < seen.size(); ++i) {
+            const std::vector<double> e = errors_of(c, i, seen[i]);
+            every.insert(every.end(), e.begin(), e.end());
+            errors_px.push_back(rms(e));
+        }
+        // A corner that is far off is not the corner; a view that is, not sharp.
+        const double corner_limit = std::max(1.0, 5 * median(every)), view_limit = std::max(1.5, 4 * median(errors_px));
+        std::vector<Seen> kept;
+        bool changed = false;
+        for (size_t i = 0; i < seen.size(); ++i) {
+            const std::vector<double> e = errors_of(c, i, seen[i]);
+            const Seen s = seen[i].only([&](size_t k) { return e[k] <= corner_limit; });
+            const bool stays = errors_px[i] <= view_limit && enough(s);
+            changed |= !stays || s.groups.size() != seen[i].groups.size();
+            if (stays) kept.push_back(s);
+        }
+        if (!changed || kept.size() < 4 || round == 3) break;
+        seen = std::move(kept);
+    }
+    // ---------------------------------------------------------------------------------- print
+    // Learnt from every other view, does it hold for the rest?
+    double print_off_m = 0;
+    if (seen.size() >= 10 && median(errors_px) > 0.3) {
+        std::array<std::vector<Seen>, 2> half;
+        std::array<Calibration, 2> calibrated;
+        for (size_t i = 0; i < seen.size(); ++i) {
+            half[i % 2].push_back(seen[i]);
+            calibrated[i % 2].rvecs.push_back(c.rvecs[i].clone()), calibrated[i % 2].tvecs.push_back(c.tvecs[i].clone());
+        }
+        for (Calibration& x : calibrated) x.k = c.k.clone(), x.distortion = c.distortion.clone();
+        const auto rms_after_fit = [&](Calibration from) {
+            for (cv::Mat& m : from.rvecs) m = m.clone();
+            for (cv::Mat& m : from.tvecs) m = m.clone();
+            from.k = from.k.clone(), from.distortion = from.distortion.clone();
+            bundle(from, half[1], !calibrator.calibrated(), nullptr);
+            std::vector<double> errors;
+            for (size_t i = 0; i < half[1].size(); ++i)
+                for (double e : errors_of(from, i, half[1][i])) errors.push_back(e);
+            return rms(errors);
+        };
+        const double as_meant = rms_after_fit(calibrated[1]);
+        Print print;
+        bundle(calibrated[0], half[0], !calibrator.calibrated(), &print);
+        set_print(half[1], print);
+        const double as_printed = rms_after_fit(calibrated[1]);
+        progress.detail(text_of("print: %.3f px as the layout says, %.3f px as the other views saw it", as_meant, as_printed));
+        if (as_printed < 0.7 * as_meant) {
+            Print whole;
+            bundle(c, seen, !calibrator.calibrated(), &whole);
+            std::vector<double> off;
+            for (const auto& [key, at] : whole) off.push_back(cv::norm(at - cv::Point3f(key.first, key.second, 0)));
+            print_off_m = rms(off);
+            for (size_t i = 0; i < seen.size(); ++i) errors_px[i] = rms(errors_of(c, i, seen[i]));
+        }
+    }
+    progress.step(1);
+    // ---------------------------------------------------------------------------------- cameras
+    out.views = given;
+    out.views.views.clear();
+    std::vector<double> every, elevations;
+    double turned = 0, before = 0;
+    for (size_t i = 0; i < seen.size(); ++i) {
+        View v = given.views[seen[i].view];
+        Intrinsics& k = v.camera.intrinsics;
+        if (!calibrator.calibrated()) {
+            k.fx = c.k.at<double>(0, 0), k.fy = c.k.at<double>(1, 1), k.cx = c.k.at<double>(0, 2), k.cy = c.k.at<double>(1, 2);
+            const double k1 = c.distortion.at<double>(0), k2 = c.distortion.at<double>(1);
+            if (k2 != 0) v.lens = {Lens::Model::Radial, {k1, k2}};
+            else if (k1 != 0) v.lens = {Lens::Model::SimpleRadial, {k1}};
+        }
+        cv::Mat r;
+        cv::Rodrigues(c.rvecs[i], r);
+        Rigid3& pose = v.camera.camera_from_world;
+        for (int a = 0; a < 3; ++a) {
+            for (int b = 0; b < 3; ++b) pose.rotation(a, b) = r.at<double>(a, b);
+            pose.translation[a] = c.tvecs[i].at<double>(a) / metres;
+        }
+        pose.rotation = nearest_rotation(pose.rotation);
+        v.sitting = "0";
+        const Vec3d centre = v.camera.centre_world();
+        const double azimuth = std::atan2(centre.y(), centre.x());
+        if (i > 0) turned += std::remainder(azimuth - before, 2 * std::numbers::pi);
+        before = azimuth;
+        elevations.push_back(std::asin(centre.z() / centre.norm()) * 180 / std::numbers::pi);
+        AlignedView a;
+        a.name = v.name;
+        a.residual_px = errors_px[i];
+        const std::vector<double> e = errors_of(c, i, seen[i]);
+        a.residual_p95_px = percentile(e, 0.95);
+        a.coherent = static_cast<double>(std::count_if(e.begin(), e.end(), [](double x) { return x < 0.5; })) / static_cast<double>(e.size());
+        a.azimuth_deg = azimuth * 180 / std::numbers::pi;
+        every.insert(every.end(), e.begin(), e.end());
+        out.aligned.push_back(a);
+        out.views.views.push_back(v);
+    }
+    for (const View& v : given.views)
+        if (std::none_of(out.aligned.begin(), out.aligned.end(), [&](const AlignedView& a) { return a.name == v.name; })) out.left_out.push_back(v.name);
+    out.views.sittings = {Sitting{}};
+    out.views.up = "z";
+    out.views.units = o.units.empty() ? "m" : o.units;
+    out.views.floor = 0;
+    out.views.format = "mat";
+    out.views.metric = out.views.posed = true;
+    out.direction = turned > 0 ? Turn::Clockwise : Turn::Counterclockwise;  // the object's, before a camera that walks the other way
+    out.rms_px = rms(every);
+    out.coherent = static_cast<double>(std::count_if(every.begin(), every.end(), [](double x) { return x < 0.5; })) / static_cast<double>(every.size());
+    const Intrinsics& k = out.views.views.front().camera.intrinsics;
+    out.focal_px = k.fx;
+    out.focal_start_px = given.views.front().camera.intrinsics.fx;
+    out.focal_sd_px = c.focal_sd_px;
+    out.elevation_deg = median(elevations);
+    out.principal_x_px = k.cx, out.principal_y_px = k.cy;
+    out.picture_name = "mat";
+    out.picture = picture_of(given, seen, c, errors_px);
+    std::string names;
+    for (size_t i = 0; i < std::min<size_t>(6, out.left_out.size()); ++i) names += (i ? ", " : "") + out.left_out[i];
+    if (!out.left_out.empty()) out.warnings.push_back(text_of("%zu views are left out, the mat is not seen well enough in them: %s%s", out.left_out.size(), names.c_str(), out.left_out.size() > 6 ? " …" : ""));
+    if (print_off_m > 0)
+        out.warnings.push_back(text_of("the print is not quite the mat that --mat says: its corners are %.2f mm (rms) from where they should be, all views agree. That was allowed for, and the scale is that of the layout as a whole. Remedy: measure the print "
+                                       "(and print at 100 %%, on stiff paper)",
+                                       1e3 * print_off_m));
+    const double allowed = std::max(2.0, k.width_px / 500.0);
+    if (out.rms_px > allowed) out.failures.push_back(text_of("the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: a mat that is not flat, another mat than --mat says, or a zoom or focus that changed", out.rms_px, allowed));
+    if (c.focal_sd_px > 0.02 * k.fx)
+        out.warnings.push_back(text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px): the mat was seen from one height only. Remedy: a few views from higher and lower", 100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px));
+    progress.step(1);
+    return out;
+}
+
+}  // namespace vdbcarve
