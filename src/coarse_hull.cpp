@@ -7,7 +7,7 @@
 
 namespace vdbcarve {
 
-openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, int resolution, double min_seen, Progress& progress) {
+openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, int resolution, double min_seen, Progress& progress, int max_misses) {
     openvdb::initialize();
     std::vector<CarveInput> inputs;
     std::vector<MaskView> used;
@@ -20,6 +20,7 @@ openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const
     }
     CarveOptions o;
     o.min_seen = min_seen;
+    o.max_misses = max_misses;
     o.bounds_world = automatic_bounds(inputs, used, 0, o, progress);
     o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / resolution;
     const FieldPlan plan = plan_fields(used_cameras, o);

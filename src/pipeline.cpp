@@ -455,11 +455,15 @@ class Job {
         return masks;
     }
 
+    void place_align_pictures() {
+        if (!orbit_svg_.empty()) place_copy(orbit_svg_, o_.output / "orbit.svg");
+        if (fs::exists(align_picture_)) place_copy(align_picture_, o_.output / (report_["align"]["picture"].get<std::string>() + ".png"));
+    }
+
     /// cameras.json, orbit.svg, and in preview.png the hull over the views that fit worst.
     void place_alignment(const fs::path& other_cameras = {}) {
         write_file(o_.output / "cameras.json", cameras_json(views_));
-        if (!orbit_svg_.empty()) place_copy(orbit_svg_, o_.output / "orbit.svg");
-        if (fs::exists(align_picture_)) place_copy(align_picture_, o_.output / (report_["align"]["picture"].get<std::string>() + ".png"));
+        place_align_pictures();
         if (used_.empty()) return;  // found without masks: there is no hull to be shown
         std::map<std::string, double> residual;
         for (const json& v : report_["align"]["views"]) residual[v["name"]] = v["residual_px"];
@@ -1445,7 +1449,7 @@ class Job {
             else write_mesh(o_.output / name, mesh_);
         }
         write_file(o_.output / "cameras.json", cameras_json(views_));
-        if (!orbit_svg_.empty()) place_copy(orbit_svg_, o_.output / "orbit.svg");
+        place_align_pictures();
         agreement();
         preview();
     }
