@@ -12,12 +12,13 @@
 #include <random>
 
 #include "align_mat.h"
-#include "align_paper.h"
 #include "coarse_hull.h"
 #include "coherence_fit.h"
 #include "feature_tracks.h"
+#include "paper/align_paper.h"
 #include "statistics.h"
 #include "text.h"
+#include "view_called.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/evaluate.h"
@@ -501,9 +502,12 @@ void check_options(const AlignOptions& o, size_t views, size_t masks) {
     need(from_motion || (o.orbit == Orbit::Auto && o.direction == Turn::Auto && o.angles_deg.empty() && o.rings.empty() && o.sittings.empty()),
          text_of("--method %s: --orbit, --direction, --angles, --rings and --sittings are of --method coherence", name_of(o.method)));
     need(o.method != AlignMethod::Paper || (o.orbit == Orbit::Auto && o.rings.empty() && o.sittings.empty()), "--method paper knows one turn of an object before a camera that stands: --orbit, --rings and --sittings are of --method coherence");
+    need(from_motion || o.arc_deg == 360, "--arc is of --method coherence and paper");
+    need(o.method == AlignMethod::Coherence || o.method == AlignMethod::Refine || !(o.focal_varies || o.centre_varies), text_of("--method %s knows one focal length and one principal point: --focal-varies and --centre-varies are of --method coherence", name_of(o.method)));
+    need(o.method != AlignMethod::Paper || o.fov_deg == 0, "--method paper finds the field of view by itself: --fov is of --method coherence");
     need(o.method == AlignMethod::Paper || (o.paper_views[0].empty() && o.paper_views[1].empty()), "--paper-views is of --method paper");
     const int lengths = (o.known_distance != 0) + (o.known_height != 0) + o.known_length.has_value();
-    need(o.known_distance >= 0 && o.known_height >= 0 && lengths <= 1 && (!o.known_length || o.known_length->length > 0), "give one of --known-distance, --known-height and --known-length, > 0");
+    need(o.known_distance >= 0 && o.known_height >= 0 && lengths <= 1 && (!o.known_length || (o.known_length->length > 0 && o.known_length->from_px.allFinite() && o.known_length->to_px.allFinite())), "give one of --known-distance, --known-height and --known-length, > 0");
     need(o.method != AlignMethod::Mat || lengths == 0, "--method mat: the mat gives the scale; --known-... would give another");
     if (!wrong.empty()) throw UsageError(wrong);
 }
@@ -587,6 +591,7 @@ Views with_cameras(const Views& given, const OrbitModel& model) {
     }
     out.sittings = {Sitting{}};
     out.up = "z";
+    out.floor.reset();
     out.format = "align";
     out.metric = true;
     return out;
@@ -874,6 +879,7 @@ class Alignment {
         out_.mask_noise_px = aligner_.mask_noise_px();
         if (o_.method == AlignMethod::Paper) {
             out_.aligned = judged();
+            progress_.step(3);
         } else {
             name_bad();
             disturb();
@@ -915,9 +921,9 @@ class Alignment {
                 aligner_.trace("paper, %s: energy of the path %.4f, contours %.2f px outside", name_of(turn), paper.path_energy, c.rms_px());
                 if (best_.empty() || c.typical_px() < RingAligner::lead(best_).typical_px()) out_.picture = std::move(paper.energy_map);
                 out_.picture_name = "energy_map";
-                out_.rungs.push_back({c.orbit, turn, c.rms_px(), 0, static_cast<int>(3 * silhouettes_.seen().size() + 5)});
+                out_.rungs.push_back({c.orbit, turn, c.rms_px(), 0, static_cast<int>(4 * silhouettes_.seen().size() + 5)});
                 best_[turn] = std::move(c);
-                progress_.step(4);
+                progress_.step(aligner_.turns().size() == 1 ? 8 : 4);
             }
         } else if (const std::vector<Group> groups = groups_of(o_, given_.views.size()); groups.size() > 1) {
             best_ = join_groups(given_, masks_, o_, groups, aligner_, out_.rungs, out_.failures, progress_);
@@ -926,7 +932,7 @@ class Alignment {
             best_ = aligner_.run(out_.rungs);
         }
         Turn turn = RingAligner::lead(best_).turn;
-        if (mirrored_alike(RingAligner::lead(best_)) && o_.features) turn = direction_by_features(turn);
+        if (o_.method == AlignMethod::Coherence && o_.features && mirrored_alike(RingAligner::lead(best_))) turn = direction_by_features(turn);
         c_ = best_[turn];
     }
 
@@ -977,6 +983,7 @@ class Alignment {
         std::sort(pairs.begin(), pairs.end());
         pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
         std::vector<FeatureTrack> tracks = find_tracks(given_, masks_, pairs, progress_);
+        const Candidate without = c;
         double limit_px = std::max(5.0, 0.05 * silhouettes_.size_px());
         for (int round = 0; round < 2; ++round) {
             const std::vector<OrbitCamera> now = c.fit.model.cameras();
@@ -985,7 +992,7 @@ class Alignment {
                 return !at.in_front || at.rms_px() > limit_px || at.place.norm() > 2 * c.fit.ball_radius;
             });
             if (tracks.size() < 30) {
-                c.fit.tracks = nullptr;
+                c = without;
                 progress_.note(text_of("%zu features follow the cameras: too few to be fitted, silhouettes alone are", tracks.size()));
                 return;
             }
@@ -994,7 +1001,8 @@ class Alignment {
             if (round == 0) pass.track_huber_px = 0.3 * limit_px;
             refine(c.fit, silhouettes_, pass, progress_);
             std::vector<double> left;
-            for (const FeatureTrack& t : tracks) left.push_back(place_of(c.fit.model.cameras(), t).rms_px());
+            const std::vector<OrbitCamera> then = c.fit.model.cameras();
+            for (const FeatureTrack& t : tracks) left.push_back(place_of(then, t).rms_px());
             aligner_.trace("%zu tracks of features: median %.2f px, contours %.3f px", tracks.size(), median(left), c.rms_px());
             limit_px = std::max(2.0, 4 * median(left));
         }
@@ -1053,7 +1061,9 @@ class Alignment {
         } catch (const ContradictionError&) {
             return;  // there is none; other tests say why
         }
-        const double deep_px = silhouettes_.size_px() / 25, factor = std::min(1.0, 250 / silhouettes_.size_px());
+        // Without one view the hull bulges between its neighbours, the more the farther they are apart: a round object of radius R by R (1 / cos(step) - 1).
+        const double step_rad = 2 * std::numbers::pi / static_cast<double>(seen.size());
+        const double deep_px = silhouettes_.size_px() * (0.03 + 0.75 * (1 / std::cos(step_rad) - 1)), factor = std::min(1.0, 250 / silhouettes_.size_px());
         const int scale = aligner_.middle().scale;
         const std::vector<CoherenceView> fields = silhouettes_.at_scale(scale);
         std::vector<double> deep_area(seen.size(), 0);
@@ -1069,7 +1079,7 @@ class Alignment {
         bool found = false;
         for (size_t s = 0; s < seen.size(); ++s) {
             if (deep_area[s] > 0) aligner_.trace("%zu carves alone: %.0f of 250 x 250", seen[s], deep_area[s]);
-            if (deep_area[s] < 15) continue;
+            if (deep_area[s] < 25) continue;
             silhouettes_.set_bad(seen[s], true);
             found = true;
         }
@@ -1218,9 +1228,10 @@ class Alignment {
             if (turn != c_.turn) out_.other_direction_px = other.typical_px();
         if (c_.fit.tracks) {
             std::vector<double> left;
-            for (const FeatureTrack& t : *c_.fit.tracks) left.push_back(place_of(m.cameras(), t).rms_px());
+            const std::vector<OrbitCamera> cameras = m.cameras();
+            for (const FeatureTrack& t : *c_.fit.tracks) left.push_back(place_of(cameras, t).rms_px());
             out_.features = left.size();
-            out_.features_rms_px = std::sqrt(std::inner_product(left.begin(), left.end(), left.begin(), 0.0) / static_cast<double>(left.size()));
+            out_.features_rms_px = rms(left);
         }
         out_.views = with_cameras(given_, m);
         if (!sitting_of_.empty()) set_sittings(out_.views, m, sitting_of_);
@@ -1228,6 +1239,7 @@ class Alignment {
         if (o_.method == AlignMethod::Refine) {
             out_.views.up = given_.up;
             out_.views.units = given_.units;
+            out_.views.floor = given_.floor;
             for (View& v : out_.views.views) {
                 Rigid3& pose = v.camera.camera_from_world;
                 // Back to where they came from: x = (x' - translation) / scale.
@@ -1265,6 +1277,7 @@ class Alignment {
                                             out_.azimuth_spread_deg, o_.angles_deg.empty() ? "even" : "given"));
         else if (mirrored_alike(c_))
             undecided_direction();
+        if (out_.angles_observable && o_.method == AlignMethod::Coherence && c_.orbit != Orbit::Turntable) loose_views();
         if (out_.symmetry > 1)
             out_.warnings.push_back(text_of("the object looks nearly the same after 1/%d of a turn: angles that are wrong by that much would not be noticed. The shape hardly depends on it, the colours do", out_.symmetry));
         const double ln_focal = c_.fit.model.global(OrbitModel::LnFocal).value;
@@ -1272,6 +1285,24 @@ class Alignment {
             out_.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out_.focal_px, out_.focal_start_px));
         else if (out_.focal_spread > 0.05)
             out_.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out_.focal_spread));
+    }
+
+    /// Not round, but with views among which it looks round (a cup, its handle in front): those may stand anywhere, and carve what they do not see.
+    void loose_views() {
+        constexpr double kLoose_deg = 3;
+        std::string names;
+        size_t loose = 0;
+        double widest = 0;
+        for (size_t i : silhouettes_.seen()) {
+            const double spread = out_.aligned[i].azimuth_spread_deg;
+            if (silhouettes_.bad(i) || spread < kLoose_deg) continue;
+            widest = std::max(widest, spread);
+            if (loose++ < 6) names += (names.empty() ? "" : ", ") + given_.views[i].name;
+        }
+        if (loose > 0)
+            out_.failures.push_back(text_of("the silhouettes leave the angles of %zu views open by up to %.0f degrees, and the shape depends on them: %s%s. Remedy: --orbit turntable, where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
+                                            "mat",
+                                            loose, widest, names.c_str(), loose > 6 ? " …" : ""));
     }
 
     void undecided_direction() {
@@ -1306,9 +1337,7 @@ std::vector<MaskView> trusted_masks(const AlignResult& r, std::vector<MaskView> 
 
 /// The distance, in the world found, between the places of the hull that two pixels of one view show.
 double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const KnownLength& known) {
-    const auto view = std::find_if(r.views.views.begin(), r.views.views.end(), [&](const View& v) { return v.name == known.view || std::filesystem::path(v.name).stem() == known.view; });
-    if (view == r.views.views.end()) throw UsageError("--known-length: no view is called " + known.view);
-    const Camera& camera = cameras[static_cast<size_t>(view - r.views.views.begin())];
+    const Camera& camera = cameras[view_called(r.views, known.view, "--known-length")];
     Progress quiet;
     const openvdb::FloatGrid::Ptr hull = coarse_hull(names_of(r.views), cameras, masks, 256, 0.6, quiet);
     using Intersector = openvdb::tools::LevelSetRayIntersector<openvdb::FloatGrid>;
@@ -1322,7 +1351,9 @@ double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, con
         if (!intersector.intersectsWS(sight, hit)) throw InputError(text_of("--known-length: pixel %g, %g of %s does not show the object", pixel.x(), pixel.y(), known.view.c_str()));
         places[k] = {hit.x(), hit.y(), hit.z()};
     }
-    return (places[1] - places[0]).norm();
+    const double length = (places[1] - places[0]).norm();
+    if (!(length > 0)) throw InputError("--known-length: both pixels of " + known.view + " show the same place");
+    return length;
 }
 
 /// Moves and scales what was found so that one length is known.
@@ -1353,6 +1384,7 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
     r.views.units = o.units;
     for (View& v : r.views.views) v.camera.camera_from_world.translation *= scale;
     for (Sitting& s : r.views.sittings) s.scene_from_sitting.translation *= scale;
+    if (r.views.floor) *r.views.floor *= scale;
     for (Camera& c : r.other_cameras) c.camera_from_world.translation *= scale;
     for (auto& t : r.touches_world)
         for (float& x : t) x = static_cast<float>(x * scale);
@@ -1365,7 +1397,8 @@ AlignResult align(const Views& views, const std::vector<MaskView>& masks, const 
     check_options(options, views.views.size(), masks.size());
     if (options.method == AlignMethod::Mat) return align_to_mat(views, options, progress);
     AlignResult out = Alignment(views, masks, options, progress).run();
-    apply_scale(out, masks, options, progress);
+    if (out.failures.empty()) apply_scale(out, masks, options, progress);
+    else if (out.method != AlignMethod::Refine) out.views.units.clear();  // of cameras that are not believed no length is taken
     return out;
 }
 

@@ -10,6 +10,7 @@
 #include <map>
 #include <numbers>
 #include <numeric>
+#include <optional>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -47,6 +48,14 @@ struct Calibration {
     cv::Mat k, distortion;
     std::vector<cv::Mat> rvecs, tvecs;
     double focal_sd_px = 0;
+
+    /// (OpenCV's matrices are references.)
+    Calibration copy() const {
+        Calibration out{k.clone(), distortion.clone(), {}, {}, focal_sd_px};
+        for (const cv::Mat& m : rvecs) out.rvecs.push_back(m.clone());
+        for (const cv::Mat& m : tvecs) out.tvecs.push_back(m.clone());
+        return out;
+    }
 };
 
 /// Distances between corners seen and corners as the calibration puts them, pixels.
@@ -57,8 +66,6 @@ std::vector<double> errors_of(const Calibration& c, size_t index, const Seen& s)
     for (size_t k = 0; k < projected.size(); ++k) out.push_back(std::hypot(projected[k].x - s.image_px[k].x, projected[k].y - s.image_px[k].y));
     return out;
 }
-
-double rms(const std::vector<double>& values) { return values.empty() ? 0 : std::sqrt(std::inner_product(values.begin(), values.end(), values.begin(), 0.0) / static_cast<double>(values.size())); }
 
 /// A lens by how many of its quantities are free; each has those of the one before.
 struct LensRung {
@@ -80,6 +87,7 @@ class Calibrator {
         calibrated_ = views.posed;
     }
     bool calibrated() const { return calibrated_; }
+    int flags_of(const LensRung& rung) const { return rung.fixed | cv::CALIB_USE_INTRINSIC_GUESS | (centre_known_ ? static_cast<int>(cv::CALIB_FIX_PRINCIPAL_POINT) : 0); }
 
     /// All views together.
     Calibration fit(const std::vector<Seen>& seen, const LensRung& rung) const {
@@ -96,22 +104,13 @@ class Calibrator {
             out.tvecs.resize(seen.size());
         } else {
             cv::Mat sd, unused, errors;
-            // Whether the plane's homographies say a good focal length to start from depends on how the mat was seen; so both starts are tried.
-            double best = std::numeric_limits<double>::infinity();
-            const Calibration blank = out;
-            for (const int guess : {0, static_cast<int>(cv::CALIB_USE_INTRINSIC_GUESS)}) {
-                Calibration c{blank.k.clone(), blank.distortion.clone(), {}, {}, 0};
-                // Where the principal point is held, the guess carries it.
-                if (guess == 0 && (centre_known_ || focal_px_ > 0)) continue;
-                const int flags = rung.fixed | guess | (centre_known_ ? static_cast<int>(cv::CALIB_FIX_PRINCIPAL_POINT) : 0);
-                const double found = cv::calibrateCamera(world, image, size_, c.k, c.distortion, c.rvecs, c.tvecs, sd, unused, errors, flags, {cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-10});
-                if (std::isfinite(found) && found < best) {
-                    best = found;
-                    c.focal_sd_px = std::max(sd.at<double>(0), sd.at<double>(1));  // one of them is tied to the other
-                    out = c;
-                }
+            if (focal_px_ == 0) {  // what the plane's homographies say; their principal point is half a pixel off, and is not taken
+                const double found = cv::initCameraMatrix2D(world, image, size_, 1).at<double>(0, 0);
+                if (std::isfinite(found) && found > 0.2 * size_.width && found < 50 * size_.width) out.k.at<double>(0, 0) = out.k.at<double>(1, 1) = found;
             }
-            if (!std::isfinite(best)) throw UndeterminedError("--method mat: the camera cannot be calibrated from these views of the mat. Remedy: --fov, and views from several heights");
+            const double found = cv::calibrateCamera(world, image, size_, out.k, out.distortion, out.rvecs, out.tvecs, sd, unused, errors, flags_of(rung), {cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-10});
+            if (!std::isfinite(found)) throw UndeterminedError("--method mat: the camera cannot be calibrated from these views of the mat. Remedy: --fov, and views from several heights");
+            out.focal_sd_px = std::max(sd.at<double>(0), sd.at<double>(1));  // one of them is tied to the other
         }
         // A plane seen from afar has two places that look almost alike: the better one, for every view.
         for (size_t i = 0; i < seen.size(); ++i) {
@@ -150,16 +149,30 @@ void set_print(std::vector<Seen>& seen, const Print& print) {
 /// Calibration by Gauss and Newton's method on everything together, poses and lens, and, where `print` is given, on where the corners really are: printers stretch paper, and paper
 /// is not flat (Strobl and Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", ICCV workshops 2011). Corners are held near the layout
 /// by priors, which keep the world's place and size.
-void bundle(Calibration& c, std::vector<Seen>& seen, bool lens_free, Print* print) {
+void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_flags, Print* print) {
     constexpr double kCorner_px = 0.3, kInPlane_m = 0.001, kOffPlane_m = 0.005;
     std::map<std::pair<float, float>, int> corner_of;
     if (print)
         for (const Seen& s : seen)
             for (const cv::Point3f& p : s.layout_m) corner_of.try_emplace({p.x, p.y}, 0);
-    const int poses = static_cast<int>(6 * seen.size()), lens = lens_free ? 5 : 0;  // f, cx, cy, k1, k2
+    // Of the lens f, cx, cy, k1, k2, as calibrateCamera() would free them.
+    std::vector<int> free_lens;
+    if (lens_flags) {
+        free_lens = {0};
+        if (!(*lens_flags & cv::CALIB_FIX_PRINCIPAL_POINT)) free_lens.insert(free_lens.end(), {1, 2});
+        if (!(*lens_flags & cv::CALIB_FIX_K1)) free_lens.push_back(3);
+        if (!(*lens_flags & cv::CALIB_FIX_K2)) free_lens.push_back(4);
+    }
+    const int poses = static_cast<int>(6 * seen.size()), lens = static_cast<int>(free_lens.size());
     int size = poses + lens;
     for (auto& [key, at] : corner_of) at = size, size += 3;
-    double last = std::numeric_limits<double>::infinity(), damping = 1e-6;
+    double last = std::numeric_limits<double>::infinity(), damping = 1e-6, observations = 0;
+    for (const Seen& s : seen) observations += 2.0 * static_cast<double>(s.groups.size());
+    Calibration best = c.copy();
+    Print best_print = print ? *print : Print();
+    Eigen::MatrixXd best_h;
+    Eigen::VectorXd best_g;
+    int rejected = 0;
     for (int iteration = 0; iteration < 30; ++iteration) {
         Eigen::MatrixXd h = Eigen::MatrixXd::Zero(size, size);
         Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
@@ -177,9 +190,9 @@ void bundle(Calibration& c, std::vector<Seen>& seen, bool lens_free, Print* prin
                 std::vector<Vec2d> by;
                 const auto column = [&](int from) { return Vec2d(jacobian.at<double>(static_cast<int>(2 * k), from), jacobian.at<double>(static_cast<int>(2 * k + 1), from)); };
                 for (int q = 0; q < 6; ++q) at.push_back(static_cast<int>(6 * i) + q), by.push_back(column(q));
-                if (lens_free) {
-                    at.push_back(poses), by.push_back(column(6) + column(7));
-                    for (int q = 1; q < 5; ++q) at.push_back(poses + q), by.push_back(column(7 + q));
+                for (int q = 0; q < lens; ++q) {
+                    const int which = free_lens[static_cast<size_t>(q)];
+                    at.push_back(poses + q), by.push_back(which == 0 ? column(6) + column(7) : column(7 + which));
                 }
                 if (print) {
                     const int first = corner_of.at({seen[i].layout_m[k].x, seen[i].layout_m[k].y});
@@ -204,10 +217,24 @@ void bundle(Calibration& c, std::vector<Seen>& seen, bool lens_free, Print* prin
                 cost += off[q] * off[q] / (sigma[q] * sigma[q]);
             }
         }
-        if (lens_free) c.focal_sd_px = std::sqrt(h.ldlt().solve(Eigen::VectorXd::Unit(size, poses))[poses]);
-        if (cost > (1 - 1e-5) * last && iteration > 4) break;
-        damping = cost < last ? damping * 0.3 : damping * 10;
-        last = cost;
+        if (!(cost < last)) {  // the last step was none
+            c = best.copy();
+            if (print) *print = best_print, set_print(seen, *print);
+            if (++rejected > 3) break;
+            damping *= 30;
+        } else {
+            const bool settled = cost > (1 - 1e-5) * last && iteration > 4;
+            last = cost, best_h = h, best_g = g;
+            if (lens > 0) {
+                const double freedom = std::max(1.0, observations - size), variance = h.ldlt().solve(Eigen::VectorXd::Unit(size, poses))[poses] * std::max(1.0, cost / freedom);
+                c.focal_sd_px = variance > 0 ? std::sqrt(variance) : 0;
+            }
+            best = c.copy();
+            if (print) best_print = *print;
+            if (settled) break;
+            damping *= 0.3;
+        }
+        h = best_h, g = best_g;
         Eigen::MatrixXd damped = h;
         damped.diagonal() *= 1 + damping;
         const Eigen::VectorXd step = -damped.ldlt().solve(g);
@@ -216,10 +243,12 @@ void bundle(Calibration& c, std::vector<Seen>& seen, bool lens_free, Print* prin
                 c.rvecs[i].at<double>(q) += step[static_cast<Eigen::Index>(6 * i) + q];
                 c.tvecs[i].at<double>(q) += step[static_cast<Eigen::Index>(6 * i) + 3 + q];
             }
-        if (lens_free) {
-            c.k.at<double>(0, 0) += step[poses], c.k.at<double>(1, 1) += step[poses];
-            c.k.at<double>(0, 2) += step[poses + 1], c.k.at<double>(1, 2) += step[poses + 2];
-            c.distortion.at<double>(0) += step[poses + 3], c.distortion.at<double>(1) += step[poses + 4];
+        for (int q = 0; q < lens; ++q) {
+            const int which = free_lens[static_cast<size_t>(q)];
+            const double by = step[poses + q];
+            if (which == 0) c.k.at<double>(0, 0) += by, c.k.at<double>(1, 1) += by;
+            else if (which < 3) c.k.at<double>(which - 1, 2) += by;
+            else c.distortion.at<double>(which - 3) += by;
         }
         for (const auto& [key, first] : corner_of) {
             cv::Point3f& at = print->try_emplace(key, cv::Point3f(key.first, key.second, 0)).first->second;
@@ -227,6 +256,8 @@ void bundle(Calibration& c, std::vector<Seen>& seen, bool lens_free, Print* prin
         }
         if (print) set_print(seen, *print);
     }
+    c = best;
+    if (print) *print = best_print, set_print(seen, *print);
 }
 
 Image8 grey_of(const View& view) { return io::read_grey(view.image_path, view.camera.intrinsics, view.lens); }
@@ -271,16 +302,20 @@ Image8 picture_of(const Views& views, const std::vector<Seen>& seen, const Calib
 
 }  // namespace
 
-AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& progress) {
+namespace {
+
+AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& progress) {
     const MatLayout& mat = *o.mat;
     const double metres = o.units.empty() ? 1 : metres_per(o.units).value_or(0);
     if (metres == 0) throw UsageError("--units " + o.units + ": a mat is measured in metres; what those are in this unit is not known. Remedy: m, cm, mm, inch");
-    progress.begin("align", static_cast<int>(given.views.size()) + 4);
+    progress.begin("align", static_cast<int>(given.views.size()) + 3);
     // ---------------------------------------------------------------------------------- corners
     std::vector<Seen> all(given.views.size());
     for (const View& v : given.views) {
         if (v.image_path.empty()) throw InputError("--method mat: view " + v.name + " has no photograph to find the mat in");
         const Intrinsics &k = v.camera.intrinsics, &first = given.views.front().camera.intrinsics;
+        if (given.posed && (k.orthographic || k.skew != 0 || std::fabs(k.fx - first.fx) > 1e-6 * first.fx || std::fabs(k.fy - first.fy) > 1e-6 * first.fy || std::fabs(k.cx - first.cx) > 1e-3 || std::fabs(k.cy - first.cy) > 1e-3))
+            throw InputError("--method mat: the camera file's lens of view " + v.name + " is not that of " + given.views.front().name + ", or is skewed or parallel: one camera at one focus is wanted. Remedy: --cameras none, the lens is then found");
         if (!given.posed && (k.width_px != first.width_px || k.height_px != first.height_px))
             throw InputError(text_of("--method mat: %s has %d x %d pixels and %s %d x %d: one camera at one focus, held one way, is calibrated. Remedy: sort them into one run each", v.name.c_str(), k.width_px, k.height_px,
                                      given.views.front().name.c_str(), first.width_px, first.height_px));
@@ -288,7 +323,13 @@ AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& pr
     tbb::parallel_for(size_t{0}, given.views.size(), [&](size_t i) {
         progress.check();
         all[i].view = i;
-        for (const MatCorner& c : find_mat(mat, grey_of(given.views[i]).view())) {
+        std::vector<MatCorner> corners;
+        try {
+            corners = find_mat(mat, grey_of(given.views[i]).view());
+        } catch (const cv::Exception& e) {
+            throw InputError(given.views[i].image_path.string() + ": markers cannot be looked for in it: " + e.what());
+        }
+        for (const MatCorner& c : corners) {
             all[i].groups.push_back(c.group);
             all[i].layout_m.emplace_back(static_cast<float>(c.mat_m.x() - 0.5 * mat.width_m()), static_cast<float>(0.5 * mat.height_m() - c.mat_m.y()), 0.f);
             all[i].image_px.emplace_back(static_cast<float>(c.image_px.x()), static_cast<float>(c.image_px.y()));
@@ -365,6 +406,8 @@ AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& pr
     }
     // ---------------------------------------------------------------------------------- print
     // Learnt from every other view, does it hold for the rest?
+    // Whose lens was chosen while the print was thought perfect: all of it is asked again.
+    const std::optional<int> lens_flags = calibrator.calibrated() ? std::nullopt : std::optional(calibrator.flags_of(kLensRungs[3]));
     double print_off_m = 0;
     if (seen.size() >= 10 && median(errors_px) > 0.3) {
         std::array<std::vector<Seen>, 2> half;
@@ -374,11 +417,9 @@ AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& pr
             calibrated[i % 2].rvecs.push_back(c.rvecs[i].clone()), calibrated[i % 2].tvecs.push_back(c.tvecs[i].clone());
         }
         for (Calibration& x : calibrated) x.k = c.k.clone(), x.distortion = c.distortion.clone();
-        const auto rms_after_fit = [&](Calibration from) {
-            for (cv::Mat& m : from.rvecs) m = m.clone();
-            for (cv::Mat& m : from.tvecs) m = m.clone();
-            from.k = from.k.clone(), from.distortion = from.distortion.clone();
-            bundle(from, half[1], !calibrator.calibrated(), nullptr);
+        const auto rms_after_fit = [&](const Calibration& start) {
+            Calibration from = start.copy();
+            bundle(from, half[1], lens_flags, nullptr);
             std::vector<double> errors;
             for (size_t i = 0; i < half[1].size(); ++i)
                 for (double e : errors_of(from, i, half[1][i])) errors.push_back(e);
@@ -386,13 +427,13 @@ AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& pr
         };
         const double as_meant = rms_after_fit(calibrated[1]);
         Print print;
-        bundle(calibrated[0], half[0], !calibrator.calibrated(), &print);
+        bundle(calibrated[0], half[0], lens_flags, &print);
         set_print(half[1], print);
         const double as_printed = rms_after_fit(calibrated[1]);
         progress.detail(text_of("print: %.3f px as the layout says, %.3f px as the other views saw it", as_meant, as_printed));
         if (as_printed < 0.7 * as_meant) {
             Print whole;
-            bundle(c, seen, !calibrator.calibrated(), &whole);
+            bundle(c, seen, lens_flags, &whole);
             std::vector<double> off;
             for (const auto& [key, at] : whole) off.push_back(cv::norm(at - cv::Point3f(key.first, key.second, 0)));
             print_off_m = rms(off);
@@ -468,9 +509,21 @@ AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& pr
     const double allowed = std::max(2.0, k.width_px / 500.0);
     if (out.rms_px > allowed) out.failures.push_back(text_of("the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: a mat that is not flat, another mat than --mat says, or a zoom or focus that changed", out.rms_px, allowed));
     if (c.focal_sd_px > 0.02 * k.fx)
-        out.warnings.push_back(text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px): the mat was seen from one height only. Remedy: a few views from higher and lower", 100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px));
+        out.warnings.push_back(text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px); the mat was seen from %.0f to %.0f degrees of elevation. Remedy: a few views from higher and lower", 100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px,
+                                       *std::min_element(elevations.begin(), elevations.end()), *std::max_element(elevations.begin(), elevations.end())));
+    if (c.focal_sd_px > 0.15 * k.fx) out.failures.push_back(text_of("the mat does not say what the focal length is (%.0f +- %.0f px). Remedy: views from higher and lower", k.fx, c.focal_sd_px));
     progress.step(1);
     return out;
+}
+
+}  // namespace
+
+AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& progress) {
+    try {
+        return find_cameras(given, o, progress);
+    } catch (const cv::Exception& e) {
+        throw UndeterminedError(std::string("--method mat: the views of the mat do not determine a camera: ") + e.what() + ". Remedy: more views, from several heights");
+    }
 }
 
 }  // namespace vdbcarve

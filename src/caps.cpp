@@ -206,7 +206,7 @@ openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& u
     try {
         return redistance(std::move(surface), half_width, nullptr, progress);
     } catch (const InputError&) {
-        throw InputError("nothing of the object lies above the plane at " + std::to_string(height));
+        throw InputError("nothing of the object lies above the plane at " + std::to_string(height) + " along its up axis, by which it is cut. Remedy: check --up; leave --base flat away, or \"floor\" in the camera file");
     }
 }
 

@@ -19,12 +19,6 @@ namespace {
 
 double square(double x) { return x * x; }
 
-double rms(const std::vector<double>& values) {
-    double sum = 0;
-    for (double v : values) sum += square(v);
-    return values.empty() ? 0 : std::sqrt(sum / static_cast<double>(values.size()));
-}
-
 double huber_cost(double r, double limit) { return r <= 0 ? 0 : r < limit ? r * r : limit * (2 * r - limit); }
 double huber_weight(double r, double limit) { return r <= 0 ? 0 : r < limit ? 1 : limit / r; }
 

@@ -105,7 +105,7 @@ struct TrackedPlace {
 };
 TrackedPlace place_of(const std::vector<OrbitCamera>& cameras, const FeatureTrack& track);
 
-/// What a fit's tracks cost: squared residuals (Huber's way) by their expected size, every place where it is best.
+/// What a fit's tracks cost: squared residuals (Huber's way) by their expected size, every place where its squared residuals are least.
 double track_cost(const CoherenceFit& fit, const CoherencePass& pass);
 
 /// The same near the present state: cost + 2 gradient x + x' curvature x for a step x of the free parameters, the places themselves eliminated (Schur complement: what is left of the

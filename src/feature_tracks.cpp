@@ -10,6 +10,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "opencv_image.h"
+#include "vdbcarve/error.h"
 
 namespace vdbcarve {
 namespace {
@@ -17,7 +18,7 @@ namespace {
 constexpr int kMostFeatures = 3000;   ///< of a view, the strongest
 constexpr double kLeastContrast = 0.012;  ///< a third of what is usual: faint texture is texture, and what it gets wrong the epipolar test sees
 constexpr double kRatio = 0.8;        ///< Lowe's: the best match must be so much nearer than the next
-constexpr double kEpipolar_px = 2.0;  ///< for an image of 1000 pixels
+constexpr double kEpipolar_px = 2.0;
 
 struct Features {
     std::vector<cv::KeyPoint> points;
@@ -78,7 +79,11 @@ std::vector<FeatureTrack> find_tracks(const Views& views, const std::vector<Mask
     std::vector<Features> features(n);
     tbb::parallel_for(size_t{0}, n, [&](size_t i) {
         progress.check();
-        features[i] = features_of(views.views[i], masks[i]);
+        try {
+            features[i] = features_of(views.views[i], masks[i]);
+        } catch (const cv::Exception& e) {
+            throw InputError(views.views[i].image_path.string() + ": no features can be found in it: " + e.what() + ". Remedy: --no-features");
+        }
     });
     std::vector<std::vector<std::pair<int, int>>> matches(pairs.size());
     tbb::parallel_for(size_t{0}, pairs.size(), [&](size_t k) {

@@ -145,7 +145,7 @@ Imported read_checked(const fs::path& file, const json& top) {
         throw InputError(file.string() + ": 'up' is '" + out.up + "', none of x, y, z, -x, -y, -z");
     if (ours) {
         out.units = ours->value("units", "");
-        if (ours->contains("floor")) out.floor = ours->at("floor").get<double>();
+        if (ours->contains("floor") && !out.up.empty()) out.floor = ours->at("floor").get<double>();
         if (ours->contains("sittings")) {
             out.sittings.clear();
             for (const json& s : (*ours)["sittings"]) {

@@ -164,6 +164,7 @@ class Job {
         const auto need = [&](bool ok, const std::string& what) {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
         };
+        need(!o_.align.mat || o_.align.method == AlignMethod::Mat, "--mat is of --method mat");
         need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
         need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
         need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
@@ -215,11 +216,12 @@ class Job {
         wanted.allow_unposed = true;
         views_ = load_views(wanted, progress_);
         if (!views_.posed && o_.align.method == AlignMethod::Refine) throw UsageError("--method refine improves cameras, and " + o_.views.scene.string() + " has none. Remedy: --cameras FILE, or --method coherence");
-        if ((!views_.posed || o_.align.method == AlignMethod::Mat) && o_.dry_run) throw UsageError("--dry-run: the scene has no cameras; what is to be carved is known once they are found. Remedy: vdbcarve align first");
+        if ((!views_.posed || o_.align.method == AlignMethod::Mat) && o_.dry_run) throw UsageError("--dry-run: cameras are to be found first, and what is to be carved is known then. Remedy: vdbcarve align, then --cameras OUT/cameras.json");
         // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
         if (o_.align_again && views_.sittings.size() > 1) throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
-        if (o_.flat_base && up().empty()) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
-        if (o_.stl_mm) file_frame(".stl", frame_request());  // refuses where the unit is not known
+        const bool mat = o_.align.method == AlignMethod::Mat;  // which says both
+        if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
+        if (o_.stl_mm && !mat) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(std::to_string(views_.views.size()) + " views from " + views_.camera_file.string() + " (" + views_.format + ")");
     }
 
@@ -354,11 +356,15 @@ class Job {
         const AlignOptions& a = o_.align;
         Sha256 h;
         h.add("align").add_value(kCodeVersion).add(mask_key_);
-        if (a.mat) {  // before there are masks
-            for (const View& v : views_.views) h.add(v.name).add(v.image_path.empty() ? "" : sha256_of_file(v.image_path)).add_value(v.lens.model);
+        const bool by_mat = a.method == AlignMethod::Mat;
+        if (by_mat) {  // before there are masks
+            for (const View& v : views_.views) {
+                h.add(v.name).add(v.image_path.empty() ? "" : sha256_of_file(v.image_path)).add_value(v.lens.model);
+                for (double x : v.lens.coefficients) h.add_value(x);
+            }
             h.add_value(a.mat->kind).add_value(a.mat->columns).add_value(a.mat->rows).add_value(a.mat->marker_m).add_value(a.mat->step_m).add(a.mat->dictionary);
         }
-        h.add_value(a.features).add(a.paper_views[0]).add(a.paper_views[1]).add_value(a.known_length.has_value());
+        h.add(views_.up).add(views_.units).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(a.features).add(a.paper_views[0]).add(a.paper_views[1]).add_value(a.known_length.has_value());
         if (a.known_length)
             h.add(a.known_length->view).add_value(a.known_length->from_px.x()).add_value(a.known_length->from_px.y()).add_value(a.known_length->to_px.x()).add_value(a.known_length->to_px.y()).add_value(a.known_length->length);
         h.add_value(a.method).add_value(a.orbit).add_value(a.direction);
@@ -378,7 +384,7 @@ class Job {
         const bool reused = note && fs::exists(cameras_file) && fs::exists(svg_file);
         if (!reused) {
             const size_t before = progress_.warnings().size();
-            const std::vector<MaskView> masks = a.mat ? std::vector<MaskView>() : used_mask_views();
+            const std::vector<MaskView> masks = by_mat ? std::vector<MaskView>() : used_mask_views();
             const AlignResult found = align(views_, masks, a, progress_);
             for (const std::string& w : found.warnings) progress_.warn(w);
             write_file(cameras_file, cameras_json(found.views));
@@ -401,12 +407,14 @@ class Job {
         const json written = reused ? *note : parse_or_empty(note_file);
         report_["align"] = written["align"];
         const auto left_out = report_["align"]["left_out"].get<std::vector<std::string>>();
+        views_.left_out.insert(views_.left_out.end(), left_out.begin(), left_out.end());
         std::erase_if(views_.views, [&](const View& v) { return std::find(left_out.begin(), left_out.end(), v.name) != left_out.end(); });
         take_cameras(views_, cameras_file);
         align_picture_ = picture_file;
         views_.posed = true;
         views_.format = "align";
         views_.up = o_.views.up.empty() ? written.value("up", "") : o_.views.up;
+        if (views_.up != written.value("up", "")) views_.floor.reset();  // a height along another axis
         views_.units = o_.views.units.empty() ? written.value("units", "") : o_.views.units;
         orbit_svg_ = svg_file;
         say_alignment();
@@ -464,7 +472,10 @@ class Job {
     void place_alignment(const fs::path& other_cameras = {}) {
         write_file(o_.output / "cameras.json", cameras_json(views_));
         place_align_pictures();
-        if (used_.empty()) return;  // found without masks: there is no hull to be shown
+        if (used_.empty()) {  // found without masks: there is no hull to be shown
+            fs::remove(o_.output / "preview.png");
+            return;
+        }
         std::map<std::string, double> residual;
         for (const json& v : report_["align"]["views"]) residual[v["name"]] = v["residual_px"];
         std::vector<size_t> worst = used_;
@@ -788,14 +799,16 @@ class Job {
     }
 
     /// Below the floor cones go on to where they end; that is cut off the surface, and need not be carved. A little below stays, for the cut to lie within.
-    void clip_at_floor(Box3d& box) const {
+    bool clip_at_floor(Box3d& box) const {
         const Vec3d axis = up_direction();
         int along = 0;
-        if (axis.cwiseAbs().maxCoeff(&along) < 1 - 1e-9) return;
+        if (axis.cwiseAbs().maxCoeff(&along) < 1 - 1e-9) return false;
         const double below = *views_.floor * axis[along] - 0.03 * axis[along] * box.sizes().maxCoeff();
         double& end = axis[along] > 0 ? box.min()[along] : box.max()[along];
         const double clipped = axis[along] > 0 ? std::max(end, below) : std::min(end, below);
-        if (axis[along] > 0 ? clipped < box.max()[along] : clipped > box.min()[along]) end = clipped;
+        if (clipped == end || (axis[along] > 0 ? clipped >= box.max()[along] : clipped <= box.min()[along])) return false;
+        end = clipped;
+        return true;
     }
 
     /// Fills carve_ and the report's grid from bounds, resolution and the like.
@@ -807,7 +820,7 @@ class Job {
         carve_.half_width_vox = o_.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
         Box3d box = o_.bounds ? *o_.bounds : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
-        if (views_.floor && !o_.bounds) clip_at_floor(box);
+        floor_clips_ = views_.floor && !o_.bounds && clip_at_floor(box);
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
@@ -910,7 +923,7 @@ class Job {
         g["node_tests"] = s.node_tests;
         g["voxel_lookups"] = s.voxel_lookups;
         g["clipped_share"] = s.clipped_share;
-        if (s.clipped_share > 0 && (o_.bounds || !views_.floor))  // what a floor clips is cut off anyway
+        if (s.clipped_share > 0 && !floor_clips_)  // what a floor clips is cut off anyway
             progress_.warn("the bounds cut the object: " + std::to_string(100 * s.clipped_share).substr(0, 4) + " % of the surface is their flat cap");
         hull_ = result.hull;
         occupancy_ = result.occupancy;
@@ -1560,6 +1573,7 @@ class Job {
     std::vector<size_t> used_;  ///< indices of views with a mask
     std::string align_key_;
     fs::path align_picture_;
+    bool floor_clips_ = false;  ///< the bounds end at the floor
     fs::path orbit_svg_;        ///< of the cameras that were found
     std::vector<DistanceField> fields_;
     std::vector<MaskView> used_masks_;  ///< of inputs_

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 namespace vdbcarve {
@@ -23,6 +24,13 @@ double median(std::vector<T> values) {
     const auto at = static_cast<long>(values.size() / 2);
     std::nth_element(values.begin(), values.begin() + at, values.end());
     return static_cast<double>(values[static_cast<size_t>(at)]);
+}
+
+/// Root of the mean square; 0 for an empty sample.
+inline double rms(const std::vector<double>& values) {
+    double sum = 0;
+    for (double v : values) sum += v * v;
+    return values.empty() ? 0 : std::sqrt(sum / static_cast<double>(values.size()));
 }
 
 }  // namespace vdbcarve

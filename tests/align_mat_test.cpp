@@ -9,7 +9,7 @@
 #include <random>
 
 #include "align_mat.h"
-#include "align_paper.h"
+#include "paper/align_paper.h"
 #include "aruco.h"
 #include "coherence_fit.h"
 #include "feature_tracks.h"
@@ -148,6 +148,16 @@ TEST(AlignMat, ViewsWithoutTheMatAreLeftOutByName) {
     AlignOptions none = by_mat(shoot.mat);
     none.mat.reset();
     EXPECT_NE(error_of(ExitCode::Usage, [&] { align(views, {}, none, quiet); }).find("which mat?"), std::string::npos);
+    // A camera file whose lenses differ is no one camera.
+    Views zoomed = p.views;
+    for (size_t i = 0; i < zoomed.views.size(); ++i) zoomed.views[i].image_path = views.views[i].image_path;
+    zoomed.views[4].camera.intrinsics.fx *= 1.1;
+    EXPECT_NE(error_of(ExitCode::Input, [&] { align(zoomed, {}, by_mat(shoot.mat), quiet); }).find("04.png"), std::string::npos);
+    zoomed.views[4].camera.intrinsics.fx /= 1.1;
+    const AlignResult placed = align(zoomed, {}, by_mat(shoot.mat), quiet);
+    const auto [rotation, centre] = errors_of(placed.views, p.views);
+    EXPECT_LT(rotation, 0.05) << "with the lens known";
+    EXPECT_LT(centre, 0.001);
     AlignOptions furlongs = by_mat(shoot.mat);
     furlongs.units = "furlong";
     EXPECT_NE(error_of(ExitCode::Usage, [&] { align(views, {}, furlongs, quiet); }).find("furlong"), std::string::npos);
@@ -356,6 +366,30 @@ TEST(Align, AKnownLengthGivesTheScale) {
     EXPECT_NE(error_of(ExitCode::Input, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("does not show the object"), std::string::npos);
 }
 
+// A floor is a height in the world that the cameras were in; only what stays in that world keeps it.
+TEST(Align, AFloorStaysWithItsWorld) {
+    SyntheticSpec spec = hand_held_orbit(4);
+    spec.rig.views = 14;
+    spec.rig.width_px = 480, spec.rig.height_px = 360;
+    const SyntheticScene scene = synthesize(spec, quiet);
+    std::vector<MaskView> masks;
+    for (const Mask& m : scene.masks) masks.push_back(view_of(m));
+    Views given = scene.nominal;
+    given.floor = -1.5;
+    AlignOptions options;
+    options.restarts = 0;
+    EXPECT_FALSE(align(given, masks, options, quiet).views.floor);
+    options.method = AlignMethod::Refine;
+    options.features = false;
+    const AlignResult refined = align(given, masks, options, quiet);
+    EXPECT_EQ(refined.views.floor, -1.5);
+    options.known_distance = 100;
+    const AlignResult scaled = align(given, masks, options, quiet);
+    const double factor = scaled.views.views[0].camera.centre_world().norm() / refined.views.views[0].camera.centre_world().norm();
+    EXPECT_NEAR(*scaled.views.floor, -1.5 * factor, 1e-9);
+    EXPECT_GT(factor, 2);
+}
+
 TEST(Coherence, CamerasThatSeeNothingExplainNothing) {
     CoherenceFit f;
     f.touches = {{NAN, 0}, {NAN, 0}, {0.1, 1}};
@@ -390,6 +424,8 @@ TEST(Paper, EnergyMapAndPathAsInThePaper) {
         turned += step;
     }
     EXPECT_NEAR(turned, 340, 25);
+    options.paper_views = {"0003", "0003"};
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("both front and side"), std::string::npos);
     options.paper_views = {"nothing", ""};
     EXPECT_NE(error_of(ExitCode::Usage, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("nothing"), std::string::npos);
 }

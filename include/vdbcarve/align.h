@@ -23,7 +23,7 @@ enum class AlignMethod {
     Coherence,  ///< from the silhouettes and what is known of the motion
     Refine,     ///< from the cameras that the views have already, which are near the truth
     Mat,        ///< from a mat of markers that the object stands on
-    Paper       ///< the seed paper's: a model of two views, turned until it looks like each photograph (src/paper.md)
+    Paper       ///< the seed paper's: a model of two views, turned until it looks like each photograph (src/paper/align.md)
 };
 const char* name_of(AlignMethod method);
 
@@ -41,10 +41,10 @@ const char* name_of(Orbit orbit);
 enum class Turn { Auto, Clockwise, Counterclockwise };
 const char* name_of(Turn turn);
 
-/// Two places in one photograph whose distance on the object's surface, in a straight line, is known.
+/// Two places of the object that one photograph shows, and how far they are apart in a straight line.
 struct KnownLength {
     std::string view;          ///< its name, with or without extension
-    Vec2d from_px, to_px;
+    Vec2d from_px, to_px;      ///< first pixel's centre at (0.5, 0.5); of the photograph without lens distortion
     double length = 0;         ///< in the units wanted
 };
 
@@ -100,7 +100,7 @@ struct AlignResult {
     Views views;                 ///< with cameras; world z is up, along the axis
     Orbit orbit = Orbit::HandHeld;
     Turn direction = Turn::Counterclockwise;
-    double rms_px = 0;           ///< of max(0, residual) over views that are not bad
+    double rms_px = 0;           ///< of max(0, residual) over views that are not bad; Mat: of corners' distances to where they should be, like all residuals
     double coherent = 0;
     double mask_noise_px = 0;    ///< of the contours, estimated
     double focal_px = 0, focal_start_px = 0;
@@ -110,7 +110,7 @@ struct AlignResult {
     double other_direction_px = 0;   ///< rms with the object turning the other way; 0: not tried
     double azimuth_spread_deg = 0;   ///< rms over restarts and views
     bool angles_observable = true;
-    int symmetry = 1;                ///< the silhouettes look (nearly) the same after this part of a turn: 2, 3 or 4
+    int symmetry = 1;                ///< the silhouettes look (nearly) the same after a half (2), third (3) or quarter (4) of a turn; 1: they do not
     std::vector<AlignRung> rungs;
     std::vector<AlignedView> aligned;
     /// Cameras for the other direction, where the direction is undecided; empty otherwise.
@@ -131,7 +131,8 @@ struct AlignResult {
 /// Finds the cameras. `views` give names, image sizes and, where known, focal lengths (their poses are looked at by AlignMethod::Refine only, whose result
 /// lies in their world); masks[i] belongs to views.views[i]; views with an empty mask get the camera of their nominal place. AlignMethod::Mat needs photographs
 /// and no masks. Same bits for any number of threads. Time: about
-/// views^2 * points * 10 us. Throws InputError for fewer than 4 views with a silhouette, UsageError for options that contradict each other.
+/// views^2 * points * 10 us. Throws InputError for fewer than 4 views with a silhouette (Mat: with the mat),
+/// UndeterminedError where there is no start or the scale cannot be had, UsageError for options that contradict each other.
 AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress);
 
 /// What was found, for reports.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "align_paper.h"
+#include "paper/align_paper.h"
 
 #include <openvdb/openvdb.h>
 #include <tbb/parallel_for.h>
@@ -14,6 +14,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "opencv_image.h"
+#include "view_called.h"
 #include "statistics.h"
 #include "text.h"
 #include "vdbcarve/error.h"
@@ -290,12 +291,13 @@ std::array<size_t, 2> paper_views(const Views& views, const Silhouettes& silhoue
     std::array<size_t, 2> out{silhouettes.seen().front(), 0};
     for (size_t w = 0; w < 2; ++w) {
         if (wanted[w].empty()) continue;
-        const auto found = std::find_if(views.views.begin(), views.views.end(), [&](const View& v) { return v.name == wanted[w] || std::filesystem::path(v.name).stem() == wanted[w]; });
-        if (found == views.views.end()) throw UsageError("--paper-views: no view is called " + wanted[w]);
-        out[w] = static_cast<size_t>(found - views.views.begin());
+        out[w] = view_called(views, wanted[w], "--paper-views");
         if (!std::count(silhouettes.seen().begin(), silhouettes.seen().end(), out[w])) throw UsageError("--paper-views: " + wanted[w] + " has no silhouette");
     }
-    if (!wanted[1].empty()) return out;
+    if (!wanted[1].empty()) {
+        if (out[0] == out[1]) throw UsageError("--paper-views: " + wanted[1] + " is both front and side");
+        return out;
+    }
     const double from = nominal[out[0]].azimuth_rad;
     out[1] = *std::min_element(silhouettes.seen().begin(), silhouettes.seen().end(), [&](size_t a, size_t b) {
         const auto off = [&](size_t i) { return std::fabs(std::fabs(nominal[i].azimuth_rad - from) - 90 * kRadians); };
@@ -356,9 +358,10 @@ PaperFit fit_like_the_paper(const std::vector<MaskView>& masks, const Silhouette
     });
     progress.check();
     // Step 4.
-    const double span = std::fabs(nominal.back().azimuth_rad - nominal.front().azimuth_rad) / kRadians, mean_step = span / static_cast<double>(nominal.size() - 1);
+    const double span = std::fabs(nominal[seen.back()].azimuth_rad - nominal[seen.front()].azimuth_rad) / kRadians, mean_step = span / static_cast<double>(seen.size() - 1);
     const bool closed = std::fabs(span + mean_step - 360) < 1e-6;
     const std::vector<int> path = path_through(energy, mean_step * kTurns / 360, closed, out.path_energy);
+    if (path.empty()) throw UndeterminedError(text_of("--method paper: no path of steps of %.1f to %.1f degrees leads once around through %zu views. Remedy: --arc, or --method coherence", kLeastStep * mean_step, kMostStep * mean_step, seen.size()));
     out.energy_map = picture_of(energy, path);
     // Step 5, and cameras: what moved the picture turns the camera.
     std::vector<OrbitView> places = nominal;

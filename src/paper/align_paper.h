@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Alignment as the seed paper does it (Denkowski, "GPU accelerated 3D object reconstruction", ICCS 2013, section 3), as far as the text says how; src/paper.md
+// Alignment as the seed paper does it (Denkowski, "GPU accelerated 3D object reconstruction", ICCS 2013, section 3), as far as the text says how; src/paper/align.md
 // says what was filled in, and what comes of it. Private; AlignMethod::Paper.
 #pragma once
 
