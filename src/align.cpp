@@ -1397,8 +1397,16 @@ AlignResult align(const Views& views, const std::vector<MaskView>& masks, const 
     check_options(options, views.views.size(), masks.size());
     if (options.method == AlignMethod::Mat) return align_to_mat(views, options, progress);
     AlignResult out = Alignment(views, masks, options, progress).run();
-    if (out.failures.empty()) apply_scale(out, masks, options, progress);
-    else if (out.method != AlignMethod::Refine) out.views.units.clear();  // of cameras that are not believed no length is taken
+    try {
+        apply_scale(out, masks, options, progress);
+    } catch (const Interrupted&) {
+        throw;
+    } catch (const Error& e) {
+        if (out.failures.empty()) throw;
+        // Of cameras that are not believed no length need be had; what is wrong with them is said first.
+        out.failures.push_back(std::string("no scale: ") + e.what());
+        if (out.method != AlignMethod::Refine) out.views.units.clear();
+    }
     return out;
 }
 
