@@ -34,6 +34,11 @@ constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's 
 
 double square(double x) { return x * x; }
 
+/// Signed distance to a silhouette at a place of its image; `scale`: pixels a side of the field's samples.
+double distance_px(const kernel::FieldView& field, int scale, double x_px, double y_px) {
+    return kernel::interpolate(kernel::fetch_patch(field, static_cast<float>(x_px / scale), static_cast<float>(y_px / scale))) * scale / kernel::kFieldUnits;
+}
+
 /// A way to explain the views, and how well it does.
 struct Candidate {
     CoherenceFit fit;
@@ -461,8 +466,7 @@ class RingAligner {
         for (const ContourPoint& p : points) {
             const CoherenceView& v = views[static_cast<size_t>(p.view)];
             if (!v.field) continue;
-            const kernel::FieldView f = v.field->silhouette.view();
-            distances.push_back(std::fabs(kernel::interpolate(kernel::fetch_patch(f, p.x_px / smooth, p.y_px / smooth))) * smooth / kernel::kFieldUnits);
+            distances.push_back(std::fabs(distance_px(v.field->silhouette.view(), smooth, p.x_px, p.y_px)));
         }
         return 1.4826 * median(distances);
     }
@@ -866,6 +870,21 @@ NearSide near_side(const CoherenceFit& f, const std::vector<FeatureTrack>& track
     return out;
 }
 
+/// Masks without those of bad views.
+std::vector<MaskView> trusted_masks(const AlignResult& r, std::vector<MaskView> masks) {
+    for (size_t i = 0; i < masks.size(); ++i)
+        if (r.aligned[i].bad) masks[i] = {};
+    return masks;
+}
+
+/// How far each of a fit's tracks is from its place, pixels.
+std::vector<double> rms_of_tracks(const CoherenceFit& f) {
+    const std::vector<OrbitCamera> cameras = f.model.cameras();
+    std::vector<double> out;
+    for (const FeatureTrack& t : *f.tracks) out.push_back(place_of(cameras, t).rms_px());
+    return out;
+}
+
 /// One alignment by silhouettes, from what is given to the verdict.
 class Alignment {
   public:
@@ -1000,9 +1019,7 @@ class Alignment {
             CoherencePass pass = aligner_.fine(c.rms_px());
             if (round == 0) pass.track_huber_px = 0.3 * limit_px;
             refine(c.fit, silhouettes_, pass, progress_);
-            std::vector<double> left;
-            const std::vector<OrbitCamera> then = c.fit.model.cameras();
-            for (const FeatureTrack& t : tracks) left.push_back(place_of(then, t).rms_px());
+            const std::vector<double> left = rms_of_tracks(c.fit);
             aligner_.trace("%zu tracks of features: median %.2f px, contours %.3f px", tracks.size(), median(left), c.rms_px());
             limit_px = std::max(2.0, 4 * median(left));
         }
@@ -1050,9 +1067,7 @@ class Alignment {
     void name_holes() {
         const std::vector<size_t>& seen = silhouettes_.seen();
         if (seen.size() < 12 || c_.rms_px() > 0.01 * silhouettes_.size_px()) return;
-        std::vector<MaskView> trusted = masks_;
-        for (size_t i : seen)
-            if (silhouettes_.bad(i)) trusted[i] = {};
+        const std::vector<MaskView> trusted = trusted_masks(out_, masks_);
         const std::vector<Camera> cameras = with_cameras(given_, c_.fit.model).cameras();
         Progress quiet;
         Mesh kept;
@@ -1070,11 +1085,10 @@ class Alignment {
         tbb::parallel_for(size_t{0}, seen.size(), [&](size_t s) {
             const CoherenceView& view = fields[seen[s]];
             if (!view.field) return;
-            const kernel::FieldView field = view.field->silhouette.view();
             const Image8 hit = silhouette_of(kept, scaled(cameras[seen[s]], factor));
             for (int y = 0; y < hit.height; ++y)
                 for (int x = 0; x < hit.width; ++x)
-                    if (hit.at(x, y) && kernel::interpolate(kernel::fetch_patch(field, static_cast<float>((x + 0.5) / factor / scale), static_cast<float>((y + 0.5) / factor / scale))) * scale / kernel::kFieldUnits > deep_px) deep_area[s] += 1;
+                    if (hit.at(x, y) && distance_px(view.field->silhouette.view(), scale, (x + 0.5) / factor, (y + 0.5) / factor) > deep_px) deep_area[s] += 1;
         });
         bool found = false;
         for (size_t s = 0; s < seen.size(); ++s) {
@@ -1166,11 +1180,11 @@ class Alignment {
         if (!out_.angles_observable || o_.method != AlignMethod::Coherence) return;
         CoherencePass pass = aligner_.middle();
         pass.points = 30;
+        const std::vector<OrbitCamera> cameras = c_.fit.model.cameras();
+        const std::vector<ContourPoint> points = silhouettes_.contour(pass.scale, pass.points, 61);
+        const Outline outline = outline_of(c_.fit);
         const auto outside = [&](double turn_rad) {
             // Each view by itself turned on, before the silhouettes of the others as they are.
-            const std::vector<OrbitCamera> cameras = c_.fit.model.cameras();
-            const std::vector<ContourPoint> points = silhouettes_.contour(pass.scale, pass.points, 61);
-            const Outline outline = outline_of(c_.fit);
             const Mat3d turn = Eigen::AngleAxisd(turn_rad, Vec3d::UnitZ()).toRotationMatrix();
             std::vector<double> all;
             for (size_t i : silhouettes_.seen()) {
@@ -1227,9 +1241,7 @@ class Alignment {
         for (const auto& [turn, other] : best_)
             if (turn != c_.turn) out_.other_direction_px = other.typical_px();
         if (c_.fit.tracks) {
-            std::vector<double> left;
-            const std::vector<OrbitCamera> cameras = m.cameras();
-            for (const FeatureTrack& t : *c_.fit.tracks) left.push_back(place_of(cameras, t).rms_px());
+            const std::vector<double> left = rms_of_tracks(c_.fit);
             out_.features = left.size();
             out_.features_rms_px = rms(left);
         }
@@ -1263,12 +1275,11 @@ class Alignment {
             out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may. Not one turn of the object at even steps (--angles, --arc), masks of different "
                                             "objects, or an orbit too far from what was assumed (--orbit, --fov)",
                                             out_.rms_px, allowed_px));
-        std::string names;
-        size_t out_of_it = 0;
+        std::vector<std::string> bad;
         for (size_t i : silhouettes_.seen())
-            if (silhouettes_.bad(i) && out_of_it++ < 6) names += (names.empty() ? "" : ", ") + given_.views[i].name;
-        if (out_of_it) out_.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s%s. Remedy: look at their masks", out_of_it, names.c_str(), out_of_it > 6 ? " …" : ""));
-        if (6 * out_of_it >= silhouettes_.seen().size() && out_of_it > 1) out_.failures.push_back(text_of("%zu of %zu silhouettes contradict the others: which ones are wrong cannot be told", out_of_it, silhouettes_.seen().size()));
+            if (silhouettes_.bad(i)) bad.push_back(given_.views[i].name);
+        if (!bad.empty()) out_.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s. Remedy: look at their masks", bad.size(), some_of(bad).c_str()));
+        if (6 * bad.size() >= silhouettes_.seen().size() && bad.size() > 1) out_.failures.push_back(text_of("%zu of %zu silhouettes contradict the others: which ones are wrong cannot be told", bad.size(), silhouettes_.seen().size()));
         if (!out_.angles_observable && o_.method == AlignMethod::Refine)
             out_.warnings.push_back(text_of("the silhouettes%s leave each view's angle open by %.1f degrees: the given cameras decide. Remedy: texture, or a marker mat", c_.fit.tracks ? " and the features" : "", out_.azimuth_spread_deg));
         else if (!out_.angles_observable)
@@ -1290,19 +1301,18 @@ class Alignment {
     /// Not round, but with views among which it looks round (a cup, its handle in front): those may stand anywhere, and carve what they do not see.
     void loose_views() {
         constexpr double kLoose_deg = 3;
-        std::string names;
-        size_t loose = 0;
+        std::vector<std::string> loose;
         double widest = 0;
         for (size_t i : silhouettes_.seen()) {
             const double spread = out_.aligned[i].azimuth_spread_deg;
             if (silhouettes_.bad(i) || spread < kLoose_deg) continue;
             widest = std::max(widest, spread);
-            if (loose++ < 6) names += (names.empty() ? "" : ", ") + given_.views[i].name;
+            loose.push_back(given_.views[i].name);
         }
-        if (loose > 0)
-            out_.failures.push_back(text_of("the silhouettes leave the angles of %zu views open by up to %.0f degrees, and the shape depends on them: %s%s. Remedy: --orbit turntable, where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
+        if (!loose.empty())
+            out_.failures.push_back(text_of("the silhouettes leave the angles of %zu views open by up to %.0f degrees, and the shape depends on them: %s. Remedy: --orbit turntable, where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
                                             "mat",
-                                            loose, widest, names.c_str(), loose > 6 ? " …" : ""));
+                                            loose.size(), widest, some_of(loose).c_str()));
     }
 
     void undecided_direction() {
@@ -1328,12 +1338,6 @@ class Alignment {
     std::vector<int> sitting_of_;    ///< where there are several rings
     AlignResult out_;
 };
-
-std::vector<MaskView> trusted_masks(const AlignResult& r, std::vector<MaskView> masks) {
-    for (size_t i = 0; i < masks.size(); ++i)
-        if (r.aligned[i].bad) masks[i] = {};
-    return masks;
-}
 
 /// The distance, in the world found, between the places of the hull that two pixels of one view show.
 double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const KnownLength& known) {

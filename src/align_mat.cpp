@@ -67,6 +67,10 @@ std::vector<double> errors_of(const Calibration& c, size_t index, const Seen& s)
     return out;
 }
 
+double share_within_half_pixel(const std::vector<double>& errors_px) {
+    return static_cast<double>(std::count_if(errors_px.begin(), errors_px.end(), [](double x) { return x < 0.5; })) / static_cast<double>(errors_px.size());
+}
+
 /// A lens by how many of its quantities are free; each has those of the one before.
 struct LensRung {
     const char* name;
@@ -99,7 +103,7 @@ class Calibrator {
         std::vector<std::vector<cv::Point2f>> image;
         for (const Seen& s : seen) world.push_back(s.world_m), image.push_back(s.image_px);
         if (calibrated_) {
-            out.k = (cv::Mat_<double>(3, 3) << intrinsics_.fx, intrinsics_.skew, intrinsics_.cx, 0, intrinsics_.fy, intrinsics_.cy, 0, 0, 1);
+            out.k = (cv::Mat_<double>(3, 3) << intrinsics_.fx, 0, intrinsics_.cx, 0, intrinsics_.fy, intrinsics_.cy, 0, 0, 1);
             out.rvecs.resize(seen.size());
             out.tvecs.resize(seen.size());
         } else {
@@ -474,7 +478,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         a.residual_px = errors_px[i];
         const std::vector<double> e = errors_of(c, i, seen[i]);
         a.residual_p95_px = percentile(e, 0.95);
-        a.coherent = static_cast<double>(std::count_if(e.begin(), e.end(), [](double x) { return x < 0.5; })) / static_cast<double>(e.size());
+        a.coherent = share_within_half_pixel(e);
         a.azimuth_deg = azimuth * 180 / std::numbers::pi;
         every.insert(every.end(), e.begin(), e.end());
         out.aligned.push_back(a);
@@ -490,7 +494,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     out.views.metric = out.views.posed = true;
     out.direction = turned > 0 ? Turn::Clockwise : Turn::Counterclockwise;  // the object's, before a camera that walks the other way
     out.rms_px = rms(every);
-    out.coherent = static_cast<double>(std::count_if(every.begin(), every.end(), [](double x) { return x < 0.5; })) / static_cast<double>(every.size());
+    out.coherent = share_within_half_pixel(every);
     const Intrinsics& k = out.views.views.front().camera.intrinsics;
     out.focal_px = k.fx;
     out.focal_start_px = given.views.front().camera.intrinsics.fx;
@@ -499,9 +503,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     out.principal_x_px = k.cx, out.principal_y_px = k.cy;
     out.picture_name = "mat";
     out.picture = picture_of(given, seen, c, errors_px);
-    std::string names;
-    for (size_t i = 0; i < std::min<size_t>(6, out.left_out.size()); ++i) names += (i ? ", " : "") + out.left_out[i];
-    if (!out.left_out.empty()) out.warnings.push_back(text_of("%zu views are left out, the mat is not seen well enough in them: %s%s", out.left_out.size(), names.c_str(), out.left_out.size() > 6 ? " …" : ""));
+    if (!out.left_out.empty()) out.warnings.push_back(text_of("%zu views are left out, the mat is not seen well enough in them: %s", out.left_out.size(), some_of(out.left_out).c_str()));
     if (print_off_m > 0)
         out.warnings.push_back(text_of("the print is not quite the mat that --mat says: its corners are %.2f mm (rms) from where they should be, all views agree. That was allowed for, and the scale is that of the layout as a whole. Remedy: measure the print "
                                        "(and print at 100 %%, on stiff paper)",

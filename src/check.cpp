@@ -10,6 +10,7 @@
 
 #include "coarse_hull.h"
 #include "statistics.h"
+#include "text.h"
 #include "vdbcarve/mesh.h"
 
 namespace vdbcarve {
@@ -21,12 +22,6 @@ std::string text_of(double v, int digits = 2) {
     char text[40];
     std::snprintf(text, sizeof text, "%.*f", digits, v);
     return text;
-}
-
-std::string names(const std::vector<std::string>& all) {
-    std::string out;
-    for (size_t i = 0; i < all.size() && i < 5; ++i) out += (i ? ", " : "") + all[i];
-    return out + (all.size() > 5 ? " and " + std::to_string(all.size() - 5) + " more" : "");
 }
 
 void check_cameras(const Views& views, CheckResult& out) {
@@ -55,7 +50,7 @@ void check_cameras(const Views& views, CheckResult& out) {
     if (!away.empty()) {
         const bool most = away.size() * 2 > cameras.size();
         (most ? out.errors : out.warnings)
-            .push_back(std::to_string(away.size()) + " of " + std::to_string(cameras.size()) + " cameras look away from where the others look (" + names(away) + ")" +
+            .push_back(std::to_string(away.size()) + " of " + std::to_string(cameras.size()) + " cameras look away from where the others look (" + some_of(away) + ")" +
                        (most ? ": the camera file's axes are probably another program's (OpenGL cameras in an OpenCV format, or the reverse)" : ": look at their poses"));
     }
     if (up.norm() < 0.1 * static_cast<double>(cameras.size())) {
@@ -121,11 +116,11 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
     for (const ViewCheck& v : out.agreements)
         if (v.agreement.iou < std::min(0.95, out.median_iou - 0.02)) weak.push_back(v.name + " (IoU " + text_of(v.agreement.iou, 3) + ")");
     if (!weak.empty() && out.median_iou >= 0.9)
-        out.warnings.push_back("views whose silhouettes the others contradict: " + names(weak) + ". One bad mask also eats into its neighbours' agreement; mend the worst first");
+        out.warnings.push_back("views whose silhouettes the others contradict: " + some_of(weak) + ". One bad mask also eats into its neighbours' agreement; mend the worst first");
     std::vector<std::string> thin;
     for (const ViewCheck& v : out.agreements)
         if (v.agreement.thin_length_lost_px > 20) thin.push_back(v.name + " (" + std::to_string(v.agreement.thin_length_lost_px) + " px)");
-    if (!thin.empty()) out.warnings.push_back("thin parts of these masks are carved away by other views: " + names(thin) + ". Remedy: mend the masks there, or --max-misses 1");
+    if (!thin.empty()) out.warnings.push_back("thin parts of these masks are carved away by other views: " + some_of(thin) + ". Remedy: mend the masks there, or --max-misses 1");
 }
 
 }  // namespace

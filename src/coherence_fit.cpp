@@ -22,20 +22,6 @@ double square(double x) { return x * x; }
 double huber_cost(double r, double limit) { return r <= 0 ? 0 : r < limit ? r * r : limit * (2 * r - limit); }
 double huber_weight(double r, double limit) { return r <= 0 ? 0 : r < limit ? 1 : limit / r; }
 
-Silhouettes::Extent extent_of(ImageView<uint8_t> m) {
-    Silhouettes::Extent e{1e9, 1e9, -1e9, -1e9, 0, 0};
-    double sum = 0, moment = 0;
-    for (int y = 0; y < m.height; ++y)
-        for (int x = 0; x < m.width; ++x)
-            if (kernel::is_object(m.at(x, y))) {
-                e.x0 = std::min<double>(e.x0, x), e.x1 = std::max<double>(e.x1, x + 1);
-                e.y0 = std::min<double>(e.y0, y), e.y1 = std::max<double>(e.y1, y + 1);
-                sum += 1, moment += x + 0.5;
-            }
-    if (sum > 0) e.cx = moment / sum, e.cy = 0.5 * (e.y0 + e.y1);
-    return e;
-}
-
 /// `count` of the points, without repetition.
 std::vector<ContourPoint> drawn(std::vector<ContourPoint> all, size_t count, uint64_t seed) {
     std::mt19937_64 random(seed);
@@ -303,6 +289,20 @@ double CoherenceFit::typical_px() const {
     std::sort(all.begin(), all.end());
     all.resize(all.size() - all.size() * 15 / 100);
     return rms(all);
+}
+
+Silhouettes::Extent Silhouettes::extent_of(ImageView<uint8_t> m) {
+    Silhouettes::Extent e{1e9, 1e9, -1e9, -1e9, 0, 0};
+    double sum = 0, moment = 0;
+    for (int y = 0; y < m.height; ++y)
+        for (int x = 0; x < m.width; ++x)
+            if (kernel::is_object(m.at(x, y))) {
+                e.x0 = std::min<double>(e.x0, x), e.x1 = std::max<double>(e.x1, x + 1);
+                e.y0 = std::min<double>(e.y0, y), e.y1 = std::max<double>(e.y1, y + 1);
+                sum += 1, moment += x + 0.5;
+            }
+    if (sum > 0) e.cx = moment / sum, e.cy = 0.5 * (e.y0 + e.y1);
+    return e;
 }
 
 Silhouettes::Silhouettes(const std::vector<MaskView>& masks) : masks_(masks), extents_(masks.size()), bad_(masks.size(), false), views_(masks.size()) {

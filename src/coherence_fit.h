@@ -69,6 +69,9 @@ class Silhouettes {
     int width_px(size_t i) const { return views_[i].width_px; }
     int height_px(size_t i) const { return views_[i].height_px; }
 
+    /// Of what a mask covers by half or more; size() <= 0 where that is nothing.
+    static Extent extent_of(ImageView<uint8_t> coverage);
+
     /// A bad silhouette constrains nobody.
     void set_bad(size_t i, bool bad) { bad_[i] = bad; }
     bool bad(size_t i) const { return bad_[i]; }

@@ -11,6 +11,7 @@
 
 #include "io_cameras.h"
 #include "io_image.h"
+#include "text.h"
 
 namespace vdbcarve {
 
@@ -324,13 +325,6 @@ Census census(const Mask& mask) {
             }
         }
     return {static_cast<double>(object) / static_cast<double>(m.pixels()), static_cast<double>(border_object) / static_cast<double>(border)};
-}
-
-std::string some_of(const std::vector<std::string>& names) {
-    std::string out;
-    for (size_t i = 0; i < names.size() && i < 5; ++i) out += (i ? ", " : "") + names[i];
-    if (names.size() > 5) out += " and " + std::to_string(names.size() - 5) + " more";
-    return out;
 }
 
 }  // namespace

@@ -1,14 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text with numbers in it, as printf makes it. Private.
+// Sentences with numbers and names in them. Private.
 #pragma once
 
 #include <algorithm>
 #include <cstdarg>
 #include <cstdio>
 #include <string>
+#include <vector>
 
 namespace vdbcarve {
 
+/// The first few names, and how many more there are.
+inline std::string some_of(const std::vector<std::string>& names) {
+    std::string out;
+    for (size_t i = 0; i < names.size() && i < 5; ++i) out += (i ? ", " : "") + names[i];
+    if (names.size() > 5) out += " and " + std::to_string(names.size() - 5) + " more";
+    return out;
+}
+
+/// As printf makes it.
 std::string text_of(const char* format, ...) __attribute__((format(printf, 1, 2)));
 inline std::string text_of(const char* format, ...) {
     va_list arguments, again;

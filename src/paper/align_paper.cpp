@@ -14,9 +14,9 @@
 #include <opencv2/imgproc.hpp>
 
 #include "opencv_image.h"
-#include "view_called.h"
 #include "statistics.h"
 #include "text.h"
+#include "view_called.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
@@ -40,17 +40,8 @@ struct Small {
     double x_px = 0, y_px = 0;  ///< of its middle (of the area in x, of the box in y) in the small picture it came from
 };
 
-double iou_of(const Small& a, const Small& b) {
-    size_t both = 0, either = 0;
-    for (size_t w = 0; w < a.bits.size(); ++w) {
-        both += static_cast<size_t>(std::popcount(a.bits[w] & b.bits[w]));
-        either += static_cast<size_t>(std::popcount(a.bits[w] | b.bits[w]));
-    }
-    return either ? static_cast<double>(both) / static_cast<double>(either) : 0;
-}
-
-/// The same with `a` moved by whole pixels.
-double iou_of(const Small& a, const Small& b, int dx, int dy) {
+/// With `a` moved by whole pixels.
+double iou_of(const Small& a, const Small& b, int dx = 0, int dy = 0) {
     size_t both = 0, either = 0;
     for (int y = 0; y < kSide_px; ++y) {
         const int from = y - dy;
@@ -88,17 +79,6 @@ Small small_of(const cv::Mat& picture, double x, double y, double roll_rad = 0) 
     return out;
 }
 
-/// Middle of the area in x and of the box in y.
-std::optional<Vec2d> middle_of(ImageView<uint8_t> m) {
-    double sum = 0, moment = 0;
-    int top = m.height, bottom = -1;
-    for (int y = 0; y < m.height; ++y)
-        for (int x = 0; x < m.width; ++x)
-            if (m.at(x, y) >= 128) sum += 1, moment += x + 0.5, top = std::min(top, y), bottom = std::max(bottom, y);
-    if (sum == 0) return std::nullopt;
-    return Vec2d(moment / sum, 0.5 * (top + bottom + 1));
-}
-
 /// The camera that looks at the model, by what is fitted: everything is in units of the model's height.
 struct Virtual {
     double ln_size = 0;      ///< pixels of one unit at the axis, in small pictures
@@ -126,31 +106,23 @@ struct Virtual {
     /// What it sees, around its middle; nothing where it sees nothing.
     std::optional<Small> look(const Mesh& model, double azimuth) const {
         const Image8 seen = silhouette_of(model, camera(azimuth));
-        const auto middle = middle_of(seen.view());
-        if (!middle) return std::nullopt;
-        return small_of(io::wrap(seen.view()), middle->x(), middle->y());
+        const Silhouettes::Extent e = Silhouettes::extent_of(seen.view());
+        if (e.size() <= 0) return std::nullopt;
+        return small_of(io::wrap(seen.view()), e.cx, e.cy);
     }
 };
 
 /// The solid whose front and side are the two silhouettes: a place is inside where both are (step 1).
 Mesh model_of(const Small& front, const Small& side, double side_sign) {
     // Heights of both run from the upper to the lower end of their own boxes.
-    const auto rows = [](const Small& s) {
-        int top = kSide_px, bottom = -1;
-        for (int y = 0; y < kSide_px; ++y)
-            for (int x = 0; x < kSide_px; ++x)
-                if (s.grey.at(x, y) >= 128) top = std::min(top, y), bottom = std::max(bottom, y + 1);
-        return std::pair{top, bottom};
-    };
-    const auto [front_top, front_bottom] = rows(front);
-    const auto [side_top, side_bottom] = rows(side);
+    const Silhouettes::Extent front_box = Silhouettes::extent_of(front.grey.view()), side_box = Silhouettes::extent_of(side.grey.view());
     const double voxel = 1.0 / kModel_vox;
     openvdb::initialize();
     const openvdb::MaskGrid::Ptr grid = openvdb::MaskGrid::create();
     grid->setTransform(openvdb::math::Transform::createLinearTransform(voxel));
     auto access = grid->getAccessor();
     const int reach = kModel_vox;  // voxels from the axis
-    const double front_px = static_cast<double>(front_bottom - front_top), side_px = static_cast<double>(side_bottom - side_top);
+    const double front_px = front_box.y1 - front_box.y0, side_px = side_box.y1 - side_box.y0;
     const auto inside = [](const Small& s, double x, double y) {
         const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(std::floor(y));
         return u >= 0 && v >= 0 && u < kSide_px && v < kSide_px && s.grey.at(u, v) >= 128;
@@ -160,8 +132,8 @@ Mesh model_of(const Small& front, const Small& side, double side_sign) {
         std::vector<int> columns, depths;
         for (int a = -reach; a < reach; ++a) {
             // The camera at azimuth 0 stands on +x and has +y to its right; the one a quarter on, in the direction of `side_sign`, has -+x to its right.
-            if (inside(front, 0.5 * kSide_px + (a + 0.5) * voxel * front_px, front_top + down * front_px)) columns.push_back(a);
-            if (inside(side, 0.5 * kSide_px - side_sign * (a + 0.5) * voxel * side_px, side_top + down * side_px)) depths.push_back(a);
+            if (inside(front, 0.5 * kSide_px + (a + 0.5) * voxel * front_px, front_box.y0 + down * front_px)) columns.push_back(a);
+            if (inside(side, 0.5 * kSide_px - side_sign * (a + 0.5) * voxel * side_px, side_box.y0 + down * side_px)) depths.push_back(a);
         }
         for (int x : depths)
             for (int y : columns) access.setValueOn(openvdb::Coord(x, y, k - kModel_vox / 2));
@@ -315,8 +287,8 @@ PaperFit fit_like_the_paper(const std::vector<MaskView>& masks, const Silhouette
     tbb::parallel_for(size_t{0}, seen.size(), [&](size_t s) {
         const size_t i = seen[s];
         cv::resize(io::wrap(masks[i].coverage), pictures[i], {}, shrink, shrink, cv::INTER_AREA);
-        const auto middle = middle_of(io::unwrap(pictures[i]).view());
-        if (middle) views[i] = small_of(pictures[i], middle->x(), middle->y());
+        const Silhouettes::Extent e = Silhouettes::extent_of(io::unwrap(pictures[i]).view());
+        if (e.size() > 0) views[i] = small_of(pictures[i], e.cx, e.cy);
     });
     const double first_azimuth = nominal[two[0]].azimuth_rad, quarter_sign = nominal[two[1]].azimuth_rad >= first_azimuth ? 1 : -1;
     const Mesh model = model_of(views[two[0]], views[two[1]], quarter_sign);
