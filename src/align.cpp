@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/align.h"
 
-#include <openvdb/tools/RayIntersector.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -11,17 +10,17 @@
 #include <numeric>
 #include <random>
 
+#include "align_join.h"
 #include "align_mat.h"
+#include "align_options.h"
+#include "align_scale.h"
 #include "coarse_hull.h"
-#include "coherence_fit.h"
 #include "feature_tracks.h"
 #include "paper/align_paper.h"
+#include "ring_aligner.h"
 #include "statistics.h"
-#include "text.h"
-#include "view_called.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
-#include "vdbcarve/evaluate.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/render.h"
 
@@ -29,497 +28,12 @@ namespace vdbcarve {
 
 namespace {
 
-constexpr double kRadians = std::numbers::pi / 180;
 constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's is no lens but a flight from perspective
-
-double square(double x) { return x * x; }
-
-/// Signed distance to a silhouette at a place of its image; `scale`: pixels a side of the field's samples.
-double distance_px(const kernel::FieldView& field, int scale, double x_px, double y_px) {
-    return kernel::interpolate(kernel::fetch_patch(field, static_cast<float>(x_px / scale), static_cast<float>(y_px / scale))) * scale / kernel::kFieldUnits;
-}
-
-/// A way to explain the views, and how well it does.
-struct Candidate {
-    CoherenceFit fit;
-    Orbit orbit = Orbit::HandHeld;
-    Turn turn = Turn::Counterclockwise;
-    int misses = 0;  ///< silhouettes that may be wrong
-    double rms_px() const { return fit.rms_px(); }
-    double typical_px() const { return fit.typical_px(); }
-};
-
-/// Aligns views that all stand in one ring.
-class RingAligner {
-  public:
-    RingAligner(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) : given_(views), o_(options), progress_(progress), silhouettes_(masks), n_(masks.size()) {
-        if (silhouettes_.seen().size() < 4) throw InputError("align: " + std::to_string(silhouettes_.seen().size()) + " views with a silhouette; at least 4 are needed, a dozen make sense");
-        mask_noise_px_ = find_mask_noise_px();
-    }
-
-    Silhouettes& silhouettes() { return silhouettes_; }
-
-    // ------------------------------------------------------------------------------------- passes
-
-    CoherencePass coarse() const {
-        const int scale = scale_for(110);
-        return {scale, 40, std::max(6.0, silhouettes_.size_px() / 30), 20, 2.0, 3e-3, 0, 2.0 * scale, 2.0 * scale, 1};
-    }
-    CoherencePass middle() const {
-        const int scale = scale_for(250);
-        return {scale, 80, std::max(3.0, silhouettes_.size_px() / 100), 25, 1.0, 1e-3, 0.5 * scale, 1.0 * scale, 1.5 * scale, 8};
-    }
-    /// Weighs residuals by what they turned out to be.
-    CoherencePass fine(double rms_px) const {
-        return {scale_for(700), static_cast<size_t>(o_.points), std::max(1.0, 2 * rms_px), 25, std::clamp(1.5 * rms_px, 0.1, 3.0), 1e-3, 0.5, 0.75, 1.0, 8};
-    }
-    /// A coarse pass that ends below this has found its way.
-    double good_coarse_px() const { return 0.15 * coarse().scale + mask_noise_px_; }
-    double mask_noise_px() const { return mask_noise_px_; }
-
-    // ------------------------------------------------------------------------------------- models
-
-    /// Nominal views, the object turning counterclockwise (cameras clockwise) or the other way.
-    std::vector<OrbitView> nominal(Turn direction, double arc_deg) const {
-        std::vector<OrbitView> out(n_);
-        const double sign = direction == Turn::Counterclockwise ? -1 : 1;
-        const bool closed = std::fabs(std::remainder(arc_deg, 360)) < 1e-9;
-        for (size_t i = 0; i < n_; ++i) {
-            OrbitView& v = out[i];
-            const Intrinsics& k = given_.views[i].camera.intrinsics;
-            v.turn = static_cast<double>(i) / static_cast<double>(closed ? n_ : n_ - 1);
-            v.azimuth_rad = sign * kRadians * (o_.angles_deg.empty() ? arc_deg * v.turn : o_.angles_deg[i] - o_.angles_deg[0]);
-            v.width_px = silhouettes_.width_px(i) ? silhouettes_.width_px(i) : k.width_px;
-            v.height_px = silhouettes_.height_px(i) ? silhouettes_.height_px(i) : k.height_px;
-            const bool known = k.fx > 0;
-            v.aspect = known ? k.fy / k.fx : 1;
-            v.focal_px = o_.fov_deg > 0 ? 0.5 * v.width_px / std::tan(0.5 * o_.fov_deg * kRadians) : known ? k.fx : kStartFocal * std::max(v.width_px, v.height_px);
-            v.cx = o_.principal_point_px ? o_.principal_point_px->x() : known ? k.cx : 0.5 * v.width_px;
-            v.cy = o_.principal_point_px ? o_.principal_point_px->y() : known ? k.cy : 0.5 * v.height_px;
-        }
-        return out;
-    }
-    static constexpr double kStartFocal = 1.4;  ///< of the longer side: 39 degrees, the middle of what phones and cameras have at objects
-
-    bool focal_known() const { return o_.fov_deg > 0 || given_.views[silhouettes_.seen().front()].camera.intrinsics.fx > 0; }
-    double focal_sigma() const { return focal_known() ? 0.15 : 0.6; }
-
-    struct Start {
-        double arc_deg, ln_focal, elevation_rad;
-        bool uneven;  ///< the speed may change smoothly over the turn
-    };
-
-    OrbitModel start(Orbit orbit, Turn direction, const Start& from) const {
-        OrbitModel m(nominal(direction, from.arc_deg), 1);
-        m.global(OrbitModel::LnFocal).value = from.ln_focal;
-        m.ring(0, OrbitModel::Elevation).value = from.elevation_rad;
-        aim(m, orbit);
-        free_parts(m, orbit);
-        if (from.uneven)
-            for (int h = 0; h < OrbitModel::kHarmonics; ++h) m.harmonic(h).release(0, 20 * kRadians);
-        return m;
-    }
-
-    /// Pan and tilt that bring the origin to the silhouettes' middles: of each where the camera is carried, of all together where it is fixed.
-    void aim(OrbitModel& m, Orbit orbit) const {
-        std::vector<double> pan, tilt;
-        for (size_t i : silhouettes_.seen()) {
-            const OrbitCamera c = m.camera(i);
-            pan.push_back(std::atan2(silhouettes_.extent(i).cx - c.cx, c.fx));
-            tilt.push_back(-std::atan2(silhouettes_.extent(i).cy - c.cy, c.fx * c.aspect));
-            if (orbit == Orbit::HandHeld) m.of(i, OrbitModel::Pan).value = pan.back(), m.of(i, OrbitModel::Tilt).value = tilt.back();
-        }
-        if (orbit == Orbit::HandHeld) return;
-        m.ring(0, OrbitModel::RingPan).value = median(pan);
-        m.ring(0, OrbitModel::RingTilt).value = median(tilt);
-    }
-
-    /// What may move, with priors: a hand's unsteadiness, a turntable's unevenness, a lens's tolerance. Priors of aims are around where they are.
-    void free_parts(OrbitModel& m, Orbit orbit) const {
-        m.global(OrbitModel::LnFocal).release(0, focal_sigma());
-        const size_t first = silhouettes_.seen().front();
-        const double diagonal = std::hypot(m.view(first).width_px, m.view(first).height_px), width_rad = m.view(first).width_px / m.focal_px(first);
-        if (!o_.principal_point_px) {
-            m.global(OrbitModel::CentreX).release(0, 0.01 * diagonal);
-            m.global(OrbitModel::CentreY).release(0, 0.01 * diagonal);
-        }
-        if (orbit != Orbit::Turntable && o_.angles_deg.empty()) m.global(OrbitModel::LnArc).release(0, 0.1);
-        for (size_t r = 0; r < m.rings(); ++r) {
-            m.ring(r, OrbitModel::Elevation).release(0.2, 0.4);
-            if (orbit != Orbit::HandHeld) {
-                for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt}) m.ring(r, part).release(m.ring(r, part).value, 0.3 * width_rad);
-                m.ring(r, OrbitModel::RingRoll).release(0, 6 * kRadians);
-            }
-            if (r > 0) free_ring(m, r);
-        }
-        for (size_t i : silhouettes_.seen()) {
-            if (orbit != Orbit::Turntable) m.of(i, OrbitModel::Azimuth).release(0, 9 * kRadians);
-            if (orbit == Orbit::HandHeld) {
-                for (const auto part : {OrbitModel::Pan, OrbitModel::Tilt}) m.of(i, part).release(m.of(i, part).value, 0.09 * width_rad);
-                m.of(i, OrbitModel::Roll).release(0, 6 * kRadians);
-                m.of(i, OrbitModel::LnDistance).release(0, 0.03);
-                m.of(i, OrbitModel::Height).release(0, 0.03);
-            }
-            if (o_.focal_varies) m.of(i, OrbitModel::ViewLnFocal).release(0, 0.015);
-            if (o_.centre_varies)
-                for (const auto part : {OrbitModel::ViewCentreX, OrbitModel::ViewCentreY}) m.of(i, part).release(0, 0.01 * diagonal);
-        }
-    }
-
-    /// Where a ring lies to the first: priors so wide that they only keep the numbers finite.
-    static void free_ring(OrbitModel& m, size_t r) {
-        m.ring(r, OrbitModel::RingAzimuth).release(m.ring(r, OrbitModel::RingAzimuth).value, 1);
-        m.ring(r, OrbitModel::RingDistance).release(m.ring(r, OrbitModel::RingDistance).value, 0.2);
-        for (int a = 0; a < 3; ++a) {
-            Parameter& turn = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingTurn + a));
-            Parameter& shift = m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingShift + a));
-            turn.release(turn.value, 0.3);
-            shift.release(shift.value, 0.1);
-        }
-    }
-
-    /// The same cameras on a higher rung.
-    Candidate climbed(const Candidate& c, Orbit orbit) const {
-        Candidate out = c;
-        out.orbit = orbit;
-        OrbitModel& m = out.fit.model;
-        if (orbit == Orbit::HandHeld)
-            for (const auto& [shared, own] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}}) {
-                for (size_t i = 0; i < n_; ++i) m.of(i, own).value += m.ring(0, shared).value;
-                m.ring(0, shared).hold(0);
-            }
-        free_parts(m, orbit);
-        return out;
-    }
-
-    /// The views' own cameras, in a world where the object is near the origin and cameras at distance 1; what they may be wrong by.
-    OrbitModel given_cameras(const Similarity& world_from_given) const {
-        std::vector<OrbitView> views = nominal(Turn::Clockwise, 360);
-        const std::vector<Camera> cameras = given_.cameras();
-        for (size_t i = 0; i < n_; ++i) {
-            Rigid3 pose = cameras[i].camera_from_world;
-            pose.translation = world_from_given.scale * (cameras[i].camera_from_world * (-world_from_given.translation / world_from_given.scale));
-            views[i].camera_from_world = pose;
-        }
-        OrbitModel m(std::move(views), 1);
-        const size_t first = silhouettes_.seen().front();
-        const double diagonal = std::hypot(m.view(first).width_px, m.view(first).height_px);
-        m.global(OrbitModel::LnFocal).release(0, 0.1);
-        for (const auto which : {OrbitModel::CentreX, OrbitModel::CentreY})
-            if (!o_.principal_point_px) m.global(which).release(0, 0.005 * diagonal);
-        for (size_t i : silhouettes_.seen()) {
-            for (const auto part : {OrbitModel::Pan, OrbitModel::Tilt, OrbitModel::Roll}) m.of(i, part).release(0, 3 * kRadians);
-            for (const auto part : {OrbitModel::Azimuth, OrbitModel::LnDistance, OrbitModel::Height}) m.of(i, part).release(0, 0.05);
-            if (o_.focal_varies) m.of(i, OrbitModel::ViewLnFocal).release(0, 0.015);
-        }
-        return m;
-    }
-
-    // ------------------------------------------------------------------------------------- search
-
-    /// Where to start from, the likeliest first; what comes later is tried where these lead nowhere.
-    std::vector<Start> starts() const {
-        std::vector<Start> out;
-        const std::vector<double> focals = focal_known() ? std::vector<double>{0} : std::vector<double>{0, -0.7, 0.6};
-        for (const double elevation : {8.0, 30.0, 52.0})
-            for (const double focal : focals) out.push_back({o_.arc_deg, focal, elevation * kRadians, false});
-        if (!o_.angles_deg.empty()) return out;
-        out.push_back({o_.arc_deg, 0, 12 * kRadians, true});
-        if (!o_.arc_known)
-            for (const double arc : {330.0, 300.0, 390.0, 270.0, 420.0, 240.0, 450.0, 210.0, 480.0, 180.0, 510.0, 540.0, 150.0})
-                if (std::fabs(arc - o_.arc_deg) > 5) out.push_back({arc, 0, 12 * kRadians, false});
-        return out;
-    }
-
-    void fit(Candidate& c, const CoherencePass& pass, uint64_t seed) {
-        c.fit.points = silhouettes_.contour(pass.scale, pass.points, seed);
-        refine(c.fit, silhouettes_, pass, progress_);
-    }
-
-    std::vector<Turn> turns() const {
-        if (o_.direction != Turn::Auto) return {o_.direction};
-        return {Turn::Counterclockwise, Turn::Clockwise};
-    }
-
-    using Best = std::map<Turn, Candidate>;
-    static bool settled(const Best& best, double good_px) {
-        std::vector<double> found;
-        for (const auto& [turn, c] : best) found.push_back(c.typical_px());
-        std::sort(found.begin(), found.end());
-        return !found.empty() && found.front() < good_px && (found.size() == 1 || found.back() > 2 * found.front() + 0.5 * good_px);
-    }
-    static Candidate& lead(Best& best) {
-        return std::min_element(best.begin(), best.end(), [](const auto& a, const auto& b) { return a.second.typical_px() < b.second.typical_px(); })->second;
-    }
-
-    /// Tries a range of starts in each direction until one has clearly found its way, then in that direction until two have found the same.
-    /// Returns how many did.
-    int search(Orbit orbit, const std::vector<Start>& from, Best& best, int misses = 0) {
-        std::vector<std::pair<Turn, double>> found;
-        const auto agreeing = [&] {
-            const Candidate& c = lead(best);
-            return static_cast<int>(std::count_if(found.begin(), found.end(), [&](const auto& f) { return f.first == c.turn && f.second < 1.2 * c.typical_px() + 0.01 * coarse().scale; }));
-        };
-        for (const Start& s : from) {
-            const bool decided = settled(best, good_coarse_px());
-            if (decided && agreeing() >= 2) break;
-            for (Turn turn : turns()) {
-                if (decided && turn != lead(best).turn) continue;
-                Candidate c{{}, orbit, turn, misses};
-                c.fit.model = start(orbit, turn, s);
-                CoherencePass pass = coarse();
-                pass.misses = misses;
-                if (!best.empty()) pass.give_up_px = 10 * lead(best).rms_px() + good_coarse_px();
-                fit(c, pass, 1);
-                trace("%s %s%s arc %.0f f x%.2f e %.0f%s: %.3f px, f x%.3f", name_of(orbit), name_of(turn), misses ? " robust" : "", s.arc_deg, std::exp(s.ln_focal), s.elevation_rad / kRadians, s.uneven ? " uneven" : "", c.typical_px(),
-                      std::exp(c.fit.model.global(OrbitModel::LnFocal).value));
-                found.emplace_back(turn, c.typical_px());
-                const auto known = best.find(turn);
-                if (known == best.end() || c.typical_px() < known->second.typical_px()) best[turn] = std::move(c);
-            }
-        }
-        return agreeing();
-    }
-
-    void polish(Candidate& c) {
-        const auto robust = [&](CoherencePass pass) {
-            pass.misses = c.misses;
-            return pass;
-        };
-        // Where the speed changed smoothly is now known well enough for single views to take over.
-        fit(c, robust(middle()), 2);
-        const double after_middle = c.rms_px();
-        fit(c, robust(fine(c.misses ? c.typical_px() : after_middle)), 3);
-        trim(c.fit);
-        const double rms = c.rms_px();
-        if (rms < 0.5 * after_middle) refine(c.fit, silhouettes_, robust(fine(rms)), progress_);
-        trace("%s %s polished: %.4f px after %.4f, f %.1f", name_of(c.orbit), name_of(c.turn), c.rms_px(), after_middle, c.fit.model.focal_px(silhouettes_.seen().front()));
-    }
-
-    /// Optimises anew after silhouettes were taken out or in.
-    void settle(Candidate& c) {
-        CoherencePass pass = coarse();
-        pass.misses = c.misses;
-        fit(c, pass, 6);
-        polish(c);
-        place_bad(c);
-    }
-
-    /// Cameras of bad silhouettes, from what of their contours is right: they move alone.
-    void place_bad(Candidate& c) {
-        CoherencePass pass = middle();
-        Candidate alone = c;
-        alone.fit.points = silhouettes_.contour(pass.scale, 2 * pass.points, 7, 0, Silhouettes::Which::Bad);
-        if (alone.fit.points.empty()) return;
-        OrbitModel& m = alone.fit.model;
-        for (const size_t p : m.free()) m.at(p).sigma = 0;
-        for (size_t i : silhouettes_.seen())
-            if (silhouettes_.bad(i))
-                for (int part = 0; part < OrbitModel::kViewParts; ++part) m.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma = c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma;
-        if (m.free().empty()) return;
-        refine(alone.fit, silhouettes_, pass, progress_);
-        for (size_t i : silhouettes_.seen())
-            if (silhouettes_.bad(i))
-                for (int part = 0; part < OrbitModel::kViewParts; ++part) c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value = m.of(i, static_cast<OrbitModel::ViewPart>(part)).value;
-    }
-
-    /// Leaves out points that fit so badly that their silhouette, not the cameras, must be wrong.
-    static void trim(CoherenceFit& f) {
-        std::vector<double> positive;
-        for (const Touch& t : f.touches)
-            if (t.residual_px > 0) positive.push_back(t.residual_px);
-        const double limit = std::max(1.0, 6 * median(positive));
-        std::vector<ContourPoint> points;
-        std::vector<Touch> touches;
-        for (size_t p = 0; p < f.points.size(); ++p)
-            if (!(f.touches[p].residual_px > limit)) points.push_back(f.points[p]), touches.push_back(f.touches[p]);
-        f.points = std::move(points);
-        f.touches = std::move(touches);
-    }
-
-    /// What a rung makes of contour sectors that it was not fitted to: errors of a mask are alike along its contour, so that freedom which only follows
-    /// them gains nothing there.
-    double held_out_px(const Candidate& c) {
-        Candidate half = c;
-        CoherencePass pass = fine(c.rms_px());
-        pass.points = std::min<size_t>(pass.points, 100);
-        pass.iterations = 8;
-        half.fit.points = silhouettes_.contour(pass.scale, pass.points, 11, 1);
-        refine(half.fit, silhouettes_, pass, progress_);
-        CoherenceFit rest = half.fit;
-        rest.points = silhouettes_.contour(pass.scale, pass.points, 12, 2);
-        rest.touches = touches_of(silhouettes_, rest.model, rest.points, pass);
-        trim(rest);
-        return rest.rms_px();
-    }
-
-    /// So many silhouettes may be wrong and the rest still bounds the object from all sides.
-    int robust_misses() const { return n_ < 14 ? 0 : static_cast<int>(std::lround(0.08 * static_cast<double>(n_))); }
-
-    /// The best explanation in each direction; the rungs that were tried.
-    Best run(std::vector<AlignRung>& rungs) {
-        const std::vector<Start> all = starts();
-        Best table, hand;
-        const bool any = o_.orbit == Orbit::Auto;
-        if (any || o_.orbit != Orbit::HandHeld) agreeing_ = search(Orbit::Turntable, {all.front()}, table);
-        if (any || o_.orbit == Orbit::HandHeld) {
-            if (any && settled(table, good_coarse_px())) {
-                Candidate up = climbed(lead(table), Orbit::HandHeld);
-                fit(up, coarse(), 1);
-                hand[up.turn] = std::move(up);
-            } else {
-                agreeing_ = search(Orbit::HandHeld, {all.front()}, hand);
-                if (!settled(hand, good_coarse_px()) && robust_misses() > 0) {
-                    // A few silhouettes may be wrong: does it work without listening to all of them?
-                    Best robust;
-                    const int agree = search(Orbit::HandHeld, {all.begin(), all.begin() + std::min<long>(3, static_cast<long>(all.size()))}, robust, robust_misses());
-                    if (settled(robust, good_coarse_px())) hand = robust, agreeing_ = agree;
-                }
-                if (lead(hand).misses == 0 && (!settled(hand, good_coarse_px()) || agreeing_ < 2)) agreeing_ += search(Orbit::HandHeld, {all.begin() + 1, all.end()}, hand);
-            }
-        }
-        progress_.step(3);
-        if (!table.empty() && !settled(table, good_coarse_px()) && (hand.empty() || !settled(hand, good_coarse_px()))) agreeing_ = search(Orbit::Turntable, {all.begin() + 1, all.end()}, table);
-        progress_.step(1);
-
-        // The rungs, each from the one below or from its own search, whichever is better.
-        const auto unknowns = [](const Candidate& c) { return static_cast<int>(c.fit.model.free().size()); };
-        std::vector<Candidate> ladder;
-        const double best_coarse = std::min(table.empty() ? INFINITY : lead(table).typical_px(), hand.empty() ? INFINITY : lead(hand).typical_px());
-        const auto in_the_race = [&](double rms) { return rms < 5 * best_coarse + 0.1 * coarse().scale; };
-        if (!table.empty()) {
-            Candidate& c = lead(table);
-            if (o_.orbit == Orbit::Turntable || in_the_race(c.typical_px())) {
-                if (o_.orbit != Orbit::FixedCamera) {
-                    polish(c);
-                    ladder.push_back(c);
-                }
-            } else {
-                rungs.push_back({c.orbit, c.turn, c.rms_px(), 0, unknowns(c)});
-            }
-            if (any || o_.orbit == Orbit::FixedCamera) {
-                Best fixed;
-                for (auto& [turn, t] : table) {
-                    if (any && turn != c.turn) continue;
-                    fixed[turn] = climbed(t, Orbit::FixedCamera);
-                    fit(fixed[turn], coarse(), 1);
-                }
-                if (o_.orbit == Orbit::FixedCamera || in_the_race(lead(fixed).typical_px())) {
-                    polish(lead(fixed));
-                    ladder.push_back(lead(fixed));
-                }
-                if (o_.orbit == Orbit::FixedCamera) table = fixed;
-            }
-        }
-        if (!hand.empty()) {
-            polish(lead(hand));
-            ladder.push_back(lead(hand));
-        }
-        progress_.step(3);
-        size_t chosen = 0;
-        std::vector<double> held_out(ladder.size(), 0);
-        if (ladder.size() > 1) {
-            for (size_t r = 0; r < ladder.size(); ++r) held_out[r] = held_out_px(ladder[r]);
-            // More unknowns have to earn their place, by more than the scatter of such comparisons.
-            for (size_t r = 1; r < ladder.size(); ++r)
-                if (held_out[r] < 0.85 * held_out[chosen] - 0.005) chosen = r;
-        }
-        for (size_t r = 0; r < ladder.size(); ++r) {
-            rungs.push_back({ladder[r].orbit, ladder[r].turn, ladder[r].rms_px(), held_out[r], unknowns(ladder[r])});
-            trace("rung %s: %.4f px, held out %.4f", name_of(ladder[r].orbit), ladder[r].rms_px(), held_out[r]);
-        }
-        Best out;
-        const Candidate& winner = ladder[chosen];
-        out[winner.turn] = winner;
-        // The other direction gets as fair a chance as it has earned.
-        for (Best* tried : {&hand, &table})
-            for (auto& [turn, c] : *tried)
-                if (turn != winner.turn && !out.count(turn) && (c.orbit == winner.orbit || hand.empty() || table.empty())) {
-                    if (c.typical_px() < 4 * best_coarse + good_coarse_px()) polish(c);
-                    out[turn] = c;
-                }
-        if (o_.direction == Turn::Auto && out.size() == 1) {
-            const Turn other = winner.turn == Turn::Clockwise ? Turn::Counterclockwise : Turn::Clockwise;
-            Candidate c{{}, winner.orbit, other};
-            c.fit.model = start(winner.orbit, other, {o_.arc_deg, winner.fit.model.global(OrbitModel::LnFocal).value, winner.fit.model.ring(0, OrbitModel::Elevation).value, false});
-            fit(c, coarse(), 1);
-            if (c.typical_px() < 4 * best_coarse + good_coarse_px()) polish(c);
-            out[other] = c;
-        }
-        progress_.step(1);
-        return out;
-    }
-
-    /// Said with --verbose.
-    template <class... Arguments>
-    void trace(const char* format, Arguments... arguments) const {
-        progress_.detail(text_of(format, arguments...));
-    }
-
-  private:
-    /// Standard deviation of the contours around their own smooth course, pixels.
-    double find_mask_noise_px() {
-        const int smooth = 6;
-        std::vector<double> distances;
-        const std::vector<ContourPoint> points = silhouettes_.contour(1, 200, 31);
-        const std::vector<CoherenceView> views = silhouettes_.at_scale(smooth);
-        for (const ContourPoint& p : points) {
-            const CoherenceView& v = views[static_cast<size_t>(p.view)];
-            if (!v.field) continue;
-            distances.push_back(std::fabs(distance_px(v.field->silhouette.view(), smooth, p.x_px, p.y_px)));
-        }
-        return 1.4826 * median(distances);
-    }
-
-    int scale_for(double samples) const { return std::max(1, static_cast<int>(std::lround(silhouettes_.size_px() / samples))); }
-
-    const Views& given_;
-    const AlignOptions& o_;
-    Progress& progress_;
-    Silhouettes silhouettes_;
-    size_t n_;
-    double mask_noise_px_ = 0;
-    int agreeing_ = 0;  ///< starts that led to the same cameras
-};
-
-void check_options(const AlignOptions& o, size_t views, size_t masks) {
-    std::string wrong;
-    const auto need = [&](bool ok, const std::string& what) {
-        if (!ok) wrong += (wrong.empty() ? "" : "; ") + what;
-    };
-    need(masks == views || o.method == AlignMethod::Mat, "align: as many masks as views are needed");
-    need((o.method == AlignMethod::Mat) == o.mat.has_value(), o.mat ? "--mat is of --method mat" : "--method mat: which mat? Remedy: --mat FILE, the layout that was written beside the print");
-    need(o.angles_deg.empty() || o.angles_deg.size() == views, "--angles: " + std::to_string(o.angles_deg.size()) + " angles for " + std::to_string(views) + " views");
-    for (const auto& [name, counts] : {std::pair{"--rings", &o.rings}, {"--sittings", &o.sittings}}) {
-        int sum = 0;
-        for (int c : *counts) {
-            need(c >= 4, std::string(name) + ": " + std::to_string(c) + " views together, at least 4 are needed");
-            sum += c;
-        }
-        need(counts->empty() || static_cast<size_t>(sum) == views, std::string(name) + ": " + std::to_string(sum) + " views, the scene has " + std::to_string(views));
-    }
-    need(o.arc_deg >= 20 && o.arc_deg <= 3600, text_of("--arc: %g degrees, must be 20..3600", o.arc_deg));
-    need(o.fov_deg >= 0 && o.fov_deg < 170, text_of("--fov: %g degrees, must be within 0..170", o.fov_deg));
-    need(o.points >= 10 && o.points <= 5000, text_of("align: %d contour points a view, must be 10..5000", o.points));
-    need(o.restarts >= 0 && o.restarts <= 20, text_of("--restarts: %d, must be 0..20", o.restarts));
-    const bool from_motion = o.method == AlignMethod::Coherence || o.method == AlignMethod::Paper;
-    need(from_motion || (o.orbit == Orbit::Auto && o.direction == Turn::Auto && o.angles_deg.empty() && o.rings.empty() && o.sittings.empty()),
-         text_of("--method %s: --orbit, --direction, --angles, --rings and --sittings are of --method coherence", name_of(o.method)));
-    need(o.method != AlignMethod::Paper || (o.orbit == Orbit::Auto && o.rings.empty() && o.sittings.empty()), "--method paper knows one turn of an object before a camera that stands: --orbit, --rings and --sittings are of --method coherence");
-    need(from_motion || o.arc_deg == 360, "--arc is of --method coherence and paper");
-    need(o.method == AlignMethod::Coherence || o.method == AlignMethod::Refine || !(o.focal_varies || o.centre_varies), text_of("--method %s knows one focal length and one principal point: --focal-varies and --centre-varies are of --method coherence", name_of(o.method)));
-    need(o.method != AlignMethod::Paper || o.fov_deg == 0, "--method paper finds the field of view by itself: --fov is of --method coherence");
-    need(o.method == AlignMethod::Paper || (o.paper_views[0].empty() && o.paper_views[1].empty()), "--paper-views is of --method paper");
-    const int lengths = (o.known_distance != 0) + (o.known_height != 0) + o.known_length.has_value();
-    need(o.known_distance >= 0 && o.known_height >= 0 && lengths <= 1 && (!o.known_length || (o.known_length->length > 0 && o.known_length->from_px.allFinite() && o.known_length->to_px.allFinite())), "give one of --known-distance, --known-height and --known-length, > 0");
-    need(o.method != AlignMethod::Mat || lengths == 0, "--method mat: the mat gives the scale; --known-... would give another");
-    if (!wrong.empty()) throw UsageError(wrong);
-}
 
 /// Everything that is known about an alignment, once cameras are found.
 class Judge {
   public:
-    Judge(RingAligner& aligner, const Views& views, const AlignOptions& options, Progress& progress) : aligner_(aligner), s_(aligner.silhouettes()), given_(views), o_(options), progress_(progress) {}
+    Judge(RingAligner& aligner, const Views& views) : aligner_(aligner), s_(aligner.silhouettes()), given_(views) {}
 
     /// Residuals by view, of points drawn anew.
     std::vector<AlignedView> views_of(const OrbitModel& model, const CoherencePass& pass) {
@@ -537,7 +51,7 @@ class Judge {
             residuals[static_cast<size_t>(points[p].view)].push_back(std::max(0.0, r));
             if (r <= -pass.margin_px && pass.misses == 0) continue;
             // Whose silhouettes keep the line of sight out of the hull.
-                for (const Support& x : supports_of(views, cameras, points[p], touches[p], 1e9, 8))
+            for (const Support& x : supports_of(views, cameras, points[p], touches[p], 1e9, 8))
                 if (x.distance_px > dissent_limit_px()) dissents[static_cast<size_t>(x.view)] += 1;
         }
         for (size_t i = 0; i < n; ++i) {
@@ -582,8 +96,6 @@ class Judge {
     RingAligner& aligner_;
     Silhouettes& s_;
     const Views& given_;
-    const AlignOptions& o_;
-    Progress& progress_;
 };
 
 Views with_cameras(const Views& given, const OrbitModel& model) {
@@ -632,222 +144,6 @@ Similarity normalising(const std::vector<Camera>& cameras) {
     return out;
 }
 
-// ------------------------------------------------------------------------------------- several rings and sittings
-
-/// Views that stand in one ring: they are aligned by themselves first.
-struct Group {
-    size_t first, count;
-    int sitting;
-};
-
-std::vector<Group> groups_of(const AlignOptions& o, size_t views) {
-    std::vector<size_t> ring_ends, sitting_ends;
-    const auto ends = [views](const std::vector<int>& counts) {
-        std::vector<size_t> out;
-        for (int c : counts) out.push_back((out.empty() ? 0 : out.back()) + static_cast<size_t>(c));
-        if (out.empty()) out.push_back(views);
-        return out;
-    };
-    ring_ends = ends(o.rings.empty() ? o.sittings : o.rings);
-    sitting_ends = ends(o.sittings);
-    std::vector<Group> out;
-    size_t first = 0;
-    int sitting = 0;
-    for (size_t end : ring_ends) {
-        while (sitting_ends[static_cast<size_t>(sitting)] <= first) ++sitting;
-        if (end > sitting_ends[static_cast<size_t>(sitting)]) throw UsageError("--rings and --sittings: a ring goes over the end of sitting " + std::to_string(sitting));
-        out.push_back({first, end - first, sitting});
-        first = end;
-    }
-    return out;
-}
-
-/// What was seen of the object in a ring's own world.
-struct Outline {
-    Vec3d middle = Vec3d::Zero();
-    double radius = 0;  ///< rms
-};
-Outline outline_of(const CoherenceFit& f) {
-    std::vector<Vec3d> all;
-    for (size_t p = 0; p < f.points.size(); ++p)
-        if (f.touches[p].residual_px < 2) all.push_back(touch_position(f.model.camera(static_cast<size_t>(f.points[p].view)), f.points[p], f.touches[p].depth));
-    Outline out;
-    for (const Vec3d& x : all) out.middle += x / static_cast<double>(all.size());
-    for (const Vec3d& x : all) out.radius += (x - out.middle).squaredNorm() / static_cast<double>(all.size());
-    out.radius = std::sqrt(out.radius);
-    return out;
-}
-
-/// Places ring `r` of the joint model by a turn of its world around its outline's middle, onto the outline of the first.
-void place_ring(OrbitModel& m, size_t r, const std::vector<Group>& groups, const Mat3d& scene_from_ring, const Outline& scene, const Outline& ring, const OrbitModel& own) {
-    const double scale = scene.radius / ring.radius;
-    m.ring(r, OrbitModel::RingDistance).value = std::log(scale);
-    m.ring(r, OrbitModel::RingHeight).value = scale * own.ring(0, OrbitModel::RingHeight).value;
-    for (size_t k = 0; k < groups[r].count; ++k) m.of(groups[r].first + k, OrbitModel::Height).value = scale * own.of(k, OrbitModel::Height).value;
-    const Eigen::AngleAxisd turn(scene_from_ring);
-    const Vec3d shift = scene.middle - scene_from_ring * (scale * ring.middle);
-    for (int a = 0; a < 3; ++a) {
-        m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingTurn + a)).value = turn.angle() * turn.axis()[a];
-        m.ring(r, static_cast<OrbitModel::RingPart>(OrbitModel::SittingShift + a)).value = shift[a];
-    }
-}
-
-/// Aligns each ring alone, finds how their worlds lie to each other by trying turns (about the axis within a sitting, all of them between sittings),
-/// then everything together.
-RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups, RingAligner& joint, std::vector<AlignRung>& rungs,
-                              std::vector<std::string>& failures, Progress& progress) {
-    std::vector<RingAligner::Best> parts;
-    std::vector<Candidate> leads;
-    Turn direction = o.direction;
-    for (const Group& g : groups) {
-        Views views = given;
-        views.views = {given.views.begin() + static_cast<long>(g.first), given.views.begin() + static_cast<long>(g.first + g.count)};
-        const std::vector<MaskView> some(masks.begin() + static_cast<long>(g.first), masks.begin() + static_cast<long>(g.first + g.count));
-        AlignOptions own = o;
-        own.rings.clear();
-        own.sittings.clear();
-        own.direction = direction;
-        if (!o.angles_deg.empty()) own.angles_deg = {o.angles_deg.begin() + static_cast<long>(g.first), o.angles_deg.begin() + static_cast<long>(g.first + g.count)};
-        RingAligner aligner(views, some, own, progress);
-        std::vector<AlignRung> tried;
-        parts.push_back(aligner.run(tried));
-        leads.push_back(RingAligner::lead(parts.back()));
-        if (leads.back().rms_px() > std::max(1.5, aligner.silhouettes().size_px() / 250))
-            failures.push_back(text_of("the ring of %s to %s does not fit together by itself (%.2f px)", views.views.front().name.c_str(), views.views.back().name.c_str(), leads.back().rms_px()));
-        direction = leads.back().turn;
-    }
-    // One model of all views: angles as found, everything else where it was.
-    std::vector<OrbitView> views;
-    for (size_t r = 0; r < groups.size(); ++r)
-        for (size_t k = 0; k < groups[r].count; ++k) {
-            OrbitView v = leads[r].fit.model.view(k);
-            v.azimuth_rad = leads[r].fit.model.azimuth(k);
-            v.ring = static_cast<int>(r);
-            views.push_back(v);
-        }
-    Candidate all = leads[0];
-    OrbitModel& m = all.fit.model = OrbitModel(views, static_cast<int>(groups.size()));
-    for (const Candidate& c : leads)
-        if (c.orbit > all.orbit) all.orbit = c.orbit;
-    const double share = 1.0 / static_cast<double>(groups.size());
-    for (size_t r = 0; r < groups.size(); ++r) {
-        const OrbitModel& own = leads[r].fit.model;
-        for (const auto which : {OrbitModel::LnFocal, OrbitModel::CentreX, OrbitModel::CentreY}) m.global(which).value += share * own.global(which).value;
-        for (const auto part : {OrbitModel::Elevation, OrbitModel::RingHeight, OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll}) m.ring(r, part).value = own.ring(0, part).value;
-        for (size_t k = 0; k < groups[r].count; ++k)
-            for (int part = OrbitModel::Pan; part < OrbitModel::kViewParts; ++part) {
-                const auto p = static_cast<OrbitModel::ViewPart>(part);
-                m.of(groups[r].first + k, p).value = own.of(k, p).value;
-                if (all.orbit == Orbit::HandHeld && leads[r].orbit != Orbit::HandHeld)
-                    for (const auto& [shared, mine] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}})
-                        if (p == mine) m.of(groups[r].first + k, p).value += own.ring(0, shared).value;
-            }
-        if (all.orbit == Orbit::HandHeld)
-            for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll}) m.ring(r, part).hold(0);
-    }
-    // How the others lie to the first.
-    Silhouettes& s = joint.silhouettes();
-    const CoherencePass pass = joint.coarse();
-    const Outline scene = outline_of(leads[0].fit);
-    std::mt19937_64 random(o.seed);
-    for (size_t r = 1; r < groups.size(); ++r) {
-        const Outline own = outline_of(leads[r].fit);
-        std::vector<Mat3d> turns;
-        if (groups[r].sitting == groups[0].sitting)
-            for (int k = 0; k < 90; ++k) turns.push_back(Eigen::AngleAxisd(4 * k * kRadians, Vec3d::UnitZ()).toRotationMatrix());
-        else
-            for (int k = 0; k < 1200; ++k) {  // about 18 degrees apart
-                std::normal_distribution<double> normal;
-                const Eigen::Quaterniond q(normal(random), normal(random), normal(random), normal(random));
-                turns.push_back(q.normalized().toRotationMatrix());
-            }
-        // Contours of each of the two against the other's silhouettes.
-        const auto mixed = [&](size_t looking, size_t asked, size_t count) {
-            std::vector<ContourPoint> points = s.contour(pass.scale, count, 51);
-            const Group& g = groups[looking];
-            std::erase_if(points, [&](const ContourPoint& p) { return static_cast<size_t>(p.view) < g.first || static_cast<size_t>(p.view) >= g.first + g.count; });
-            std::vector<CoherenceView> some = s.at_scale(pass.scale);
-            for (size_t i = 0; i < some.size(); ++i)
-                if (i < groups[asked].first || i >= groups[asked].first + groups[asked].count) some[i].field = nullptr;
-            return std::pair{points, some};
-        };
-        const size_t few = std::max<size_t>(2, 60 / groups[r].count);
-        const auto [from_ring, first_views] = mixed(r, 0, few);
-        const auto [from_first, ring_views] = mixed(0, r, std::max<size_t>(2, 60 / groups[0].count));
-        const auto score = [&, &from_ring = from_ring, &first_views = first_views, &from_first = from_first, &ring_views = ring_views](const OrbitModel& model) {
-            const std::vector<OrbitCamera> cameras = model.cameras();
-            double sum = 0;
-            for (const auto& [points, some] : {std::pair{&from_ring, &first_views}, {&from_first, &ring_views}})
-                for (const Touch& t : find_touches(*some, cameras, *points, {ball_radius(s, model), 0, 2 * pass.resolution_px}, {}))
-                    if (!std::isnan(t.residual_px)) sum += std::min(std::max(0.0, t.residual_px), 4 * pass.huber_px) / static_cast<double>(points->size());
-            return sum;
-        };
-        std::vector<std::pair<double, size_t>> scored;
-        for (size_t k = 0; k < turns.size(); ++k) {
-            place_ring(m, r, groups, turns[k], scene, own, leads[r].fit.model);
-            scored.emplace_back(score(m), k);
-            progress.check();
-        }
-        std::sort(scored.begin(), scored.end());
-        // The best few, each led to its own optimum with only the ring's place free.
-        Candidate best;
-        double least = INFINITY, second = INFINITY;
-        Mat3d best_turn = Mat3d::Identity();
-        for (size_t k = 0; k < std::min<size_t>(8, scored.size()); ++k) {
-            Candidate c = all;
-            place_ring(c.fit.model, r, groups, turns[scored[k].second], scene, own, leads[r].fit.model);
-            RingAligner::free_ring(c.fit.model, r);
-            c.fit.points = s.contour(pass.scale, 20, 52);
-            std::erase_if(c.fit.points, [&](const ContourPoint& p) {
-                const int ring = c.fit.model.ring_of(static_cast<size_t>(p.view));
-                return ring != 0 && ring != static_cast<int>(r);
-            });
-            std::vector<bool> was(s.count());
-            for (size_t i = 0; i < s.count(); ++i) {
-                was[i] = s.bad(i);
-                const int ring = c.fit.model.ring_of(i);
-                if (ring != 0 && ring != static_cast<int>(r)) s.set_bad(i, true);
-            }
-            refine(c.fit, s, pass, progress);
-            for (size_t i = 0; i < s.count(); ++i) s.set_bad(i, was[i]);
-            const double rms = c.rms_px();
-            joint.trace("ring %zu: score %.3f, then %.3f px", r, scored[k].first, rms);
-            const Mat3d turn = c.fit.model.camera(groups[r].first).camera_from_world;
-            const bool same = k > 0 && Eigen::AngleAxisd(turn * best_turn.transpose()).angle() < 5 * kRadians;
-            if (rms < least) {
-                if (!same) second = least;
-                least = rms, best = c, best_turn = turn;
-            } else if (!same) {
-                second = std::min(second, rms);
-            }
-        }
-        if (second < 1.3 * least + 0.05 * pass.scale)
-            failures.push_back(text_of("how the views from %s on lie to the first ones cannot be told: two ways fit alike (%.2f and %.2f px)", given.views[groups[r].first].name.c_str(), least, second));
-        for (int part = 0; part < OrbitModel::kRingParts; ++part) {
-            const auto p = static_cast<OrbitModel::RingPart>(part);
-            if (best.fit.model.views() > 0) m.ring(r, p).value = best.fit.model.ring(r, p).value;
-        }
-        if (best.fit.model.views() > 0)
-            for (size_t k = 0; k < groups[r].count; ++k) m.of(groups[r].first + k, OrbitModel::Height).value = best.fit.model.of(groups[r].first + k, OrbitModel::Height).value;
-    }
-    joint.free_parts(m, all.orbit);
-    m.global(OrbitModel::LnArc).hold(0);
-    joint.fit(all, joint.coarse(), 1);
-    joint.polish(all);
-    rungs.push_back({all.orbit, all.turn, all.rms_px(), 0, static_cast<int>(m.free().size())});
-    RingAligner::Best out;
-    out[all.turn] = all;
-    for (auto& [turn, c] : parts.front())
-        if (turn != all.turn) out[turn] = c;  // for its residual: the others were only tried in the first one's direction
-    return out;
-}
-
-std::vector<std::string> names_of(const Views& views) {
-    std::vector<std::string> out;
-    for (const View& v : views.views) out.push_back(v.name);
-    return out;
-}
-
 /// Which of a direction's cameras make texture lie where it can be seen from.
 struct NearSide {
     size_t matches = 0;
@@ -870,13 +166,6 @@ NearSide near_side(const CoherenceFit& f, const std::vector<FeatureTrack>& track
     return out;
 }
 
-/// Masks without those of bad views.
-std::vector<MaskView> trusted_masks(const AlignResult& r, std::vector<MaskView> masks) {
-    for (size_t i = 0; i < masks.size(); ++i)
-        if (r.aligned[i].bad) masks[i] = {};
-    return masks;
-}
-
 /// How far each of a fit's tracks is from its place, pixels.
 std::vector<double> rms_of_tracks(const CoherenceFit& f) {
     const std::vector<OrbitCamera> cameras = f.model.cameras();
@@ -889,7 +178,7 @@ std::vector<double> rms_of_tracks(const CoherenceFit& f) {
 class Alignment {
   public:
     Alignment(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress)
-        : given_(given), masks_(masks), o_(o), progress_(progress), aligner_(given, masks, o, progress), silhouettes_(aligner_.silhouettes()), judge_(aligner_, given, o, progress) {}
+        : given_(given), masks_(masks), o_(o), progress_(progress), aligner_(given, masks, o, progress), silhouettes_(aligner_.silhouettes()), judge_(aligner_, given) {}
 
     AlignResult run() {
         progress_.begin("align", 12);
@@ -1072,7 +361,7 @@ class Alignment {
         Progress quiet;
         Mesh kept;
         try {
-            kept = extract_mesh(*coarse_hull(names_of(given_), cameras, trusted, 96, 0.6, quiet, 1), {}, quiet);
+            kept = extract_mesh(*coarse_hull(given_.names(), cameras, trusted, 96, 0.6, quiet, 1), {}, quiet);
         } catch (const ContradictionError&) {
             return;  // there is none; other tests say why
         }
@@ -1111,7 +400,7 @@ class Alignment {
         std::normal_distribution<double> normal;
         CoherencePass quick = aligner_.middle();
         quick.sigma_px = std::clamp(2 * c_.rms_px(), 0.1, 3.0);
-        quick.points = 50;
+        quick.points = aligner_.points_of(50);
         quick.iterations = 8;
         Candidate home = c_.orbit == Orbit::Turntable ? aligner_.climbed(c_, Orbit::FixedCamera) : c_;
         aligner_.fit(home, quick, 41);
@@ -1178,26 +467,29 @@ class Alignment {
     /// Does the object look the same after half a turn (or a third, a quarter)? Then a view could as well be another one.
     void find_symmetry() {
         if (!out_.angles_observable || o_.method != AlignMethod::Coherence) return;
-        CoherencePass pass = aligner_.middle();
-        pass.points = 30;
-        const std::vector<OrbitCamera> cameras = c_.fit.model.cameras();
-        const std::vector<ContourPoint> points = silhouettes_.contour(pass.scale, pass.points, 61);
-        const Outline outline = outline_of(c_.fit);
+        // A sixth of the views, turned on and then aimed anew (the axis need not be the object's), before the silhouettes of all the others: do they fit there as well? They may not go
+        // away: what is far enough fits anywhere.
+        std::vector<size_t> good, tried;
+        for (size_t i : silhouettes_.seen())
+            if (!silhouettes_.bad(i)) good.push_back(i);
+        const size_t count = std::min<size_t>(12, (good.size() + 5) / 6);
+        for (size_t k = 0; k < count; ++k) tried.push_back(good[k * good.size() / count]);
+        const CoherencePass pass = aligner_.middle();
         const auto outside = [&](double turn_rad) {
-            // Each view by itself turned on, before the silhouettes of the others as they are.
-            const Mat3d turn = Eigen::AngleAxisd(turn_rad, Vec3d::UnitZ()).toRotationMatrix();
-            std::vector<double> all;
-            for (size_t i : silhouettes_.seen()) {
-                if (silhouettes_.bad(i)) continue;
-                std::vector<OrbitCamera> moved = cameras;
-                moved[i].camera_from_world = cameras[i].camera_from_world * turn.transpose();
-                moved[i].centre = turn * (cameras[i].centre - outline.middle) + outline.middle;
-                std::vector<ContourPoint> own;
-                for (const ContourPoint& p : points)
-                    if (static_cast<size_t>(p.view) == i) own.push_back(p);
-                for (const Touch& t : find_touches(silhouettes_.at_scale(pass.scale), moved, own, {c_.fit.ball_radius, 0, 2 * pass.resolution_px}, {}))
-                    if (!std::isnan(t.residual_px)) all.push_back(std::max(0.0, t.residual_px));
+            Candidate moved = aligner_.climbed(c_, Orbit::HandHeld);
+            for (size_t i : tried) {
+                silhouettes_.set_bad(i, true);
+                OrbitModel& m = moved.fit.model;
+                m.of(i, OrbitModel::Azimuth).value += turn_rad;
+                for (const auto part : {OrbitModel::Azimuth, OrbitModel::LnDistance, OrbitModel::Height}) m.of(i, part).sigma = 0;
             }
+            aligner_.place_bad(moved, pass);
+            std::vector<ContourPoint> points = silhouettes_.contour(pass.scale, pass.points, 61, 0, Silhouettes::Which::Bad);
+            std::erase_if(points, [&](const ContourPoint& p) { return std::find(tried.begin(), tried.end(), static_cast<size_t>(p.view)) == tried.end(); });
+            std::vector<double> all;
+            for (const Touch& t : touches_of(silhouettes_, moved.fit.model, points, pass))
+                if (!std::isnan(t.residual_px)) all.push_back(std::max(0.0, t.residual_px));
+            for (size_t i : tried) silhouettes_.set_bad(i, false);
             return percentile(all, 0.85);
         };
         const double here = outside(0);
@@ -1257,6 +549,10 @@ class Alignment {
                 // Back to where they came from: x = (x' - translation) / scale.
                 pose.translation = (pose.translation + pose.rotation * to_ring.translation) / to_ring.scale;
             }
+            const std::vector<Camera> cameras = out_.views.cameras();
+            const std::vector<double> azimuths = azimuths_rad(cameras, -to_ring.translation / to_ring.scale, up_direction(given_.up, cameras));
+            for (size_t i = 0; i < azimuths.size(); ++i) out_.aligned[i].azimuth_deg = azimuths[i] / kRadians;
+            out_.direction = turned_rad(azimuths) > 0 ? Turn::Clockwise : Turn::Counterclockwise;  // a camera that walks one way sees it turn the other
         }
         for (size_t p = 0; p < c_.fit.touches.size(); ++p) {
             const Touch& t = c_.fit.touches[p];
@@ -1272,9 +568,7 @@ class Alignment {
         const double allowed_px = std::max({0.3, silhouettes_.size_px() / 300, 1.5 * out_.mask_noise_px});
         // Cameras for which next to nothing was in the others' frames would fit anything.
         if (!(out_.rms_px <= allowed_px) || out_.touches_world.empty())
-            out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may. Not one turn of the object at even steps (--angles, --arc), masks of different "
-                                            "objects, or an orbit too far from what was assumed (--orbit, --fov)",
-                                            out_.rms_px, allowed_px));
+            out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may. %s", out_.rms_px, allowed_px, why_not().c_str()));
         std::vector<std::string> bad;
         for (size_t i : silhouettes_.seen())
             if (silhouettes_.bad(i)) bad.push_back(given_.views[i].name);
@@ -1296,6 +590,15 @@ class Alignment {
             out_.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out_.focal_px, out_.focal_start_px));
         else if (out_.focal_spread > 0.05)
             out_.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out_.focal_spread));
+    }
+
+    /// What may be the matter where silhouettes do not fit together.
+    std::string why_not() const {
+        if (o_.method == AlignMethod::Paper) return "The paper's method rarely does better on an unsteady camera. Remedy: --method coherence";
+        if (o_.method == AlignMethod::Refine) return "The cameras given are too far from the truth, or masks and cameras do not belong together. Remedy: --cameras none --method coherence, where the views go around the object";
+        std::string out = "Not one turn of the object at even steps (--angles, --arc), masks of different objects, or an orbit too far from what was assumed (--orbit, --fov)";
+        if (o_.direction != Turn::Auto) out += text_of(", or it turned the other way than --direction %s says", name_of(o_.direction));
+        return out;
     }
 
     /// Not round, but with views among which it looks round (a cup, its handle in front): those may stand anywhere, and carve what they do not see.
@@ -1339,66 +642,11 @@ class Alignment {
     AlignResult out_;
 };
 
-/// The distance, in the world found, between the places of the hull that two pixels of one view show.
-double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const KnownLength& known) {
-    const Camera& camera = cameras[view_called(r.views, known.view, "--known-length")];
-    Progress quiet;
-    const openvdb::FloatGrid::Ptr hull = coarse_hull(names_of(r.views), cameras, masks, 256, 0.6, quiet);
-    using Intersector = openvdb::tools::LevelSetRayIntersector<openvdb::FloatGrid>;
-    const Intersector intersector(*hull);
-    std::array<Vec3d, 2> places;
-    for (size_t k = 0; k < 2; ++k) {
-        const Vec2d& pixel = k ? known.to_px : known.from_px;
-        const Camera::Ray ray = camera.ray(pixel);
-        openvdb::Vec3d hit;
-        const Intersector::RayType sight({ray.origin.x(), ray.origin.y(), ray.origin.z()}, {ray.direction.x(), ray.direction.y(), ray.direction.z()});
-        if (!intersector.intersectsWS(sight, hit)) throw InputError(text_of("--known-length: pixel %g, %g of %s does not show the object", pixel.x(), pixel.y(), known.view.c_str()));
-        places[k] = {hit.x(), hit.y(), hit.z()};
-    }
-    const double length = (places[1] - places[0]).norm();
-    if (!(length > 0)) throw InputError("--known-length: both pixels of " + known.view + " show the same place");
-    return length;
-}
-
-/// Moves and scales what was found so that one length is known.
-void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
-    double scale = 1;
-    const std::vector<Camera> cameras = r.views.cameras();
-    if (o.known_distance > 0) {
-        Box3d outline;
-        for (const auto& t : r.touches_world) outline.extend(Vec3d(t[0], t[1], t[2]));
-        const Vec3d middle = outline.isEmpty() ? Vec3d::Zero().eval() : Vec3d(outline.center());
-        std::vector<double> distances;
-        for (size_t i = 0; i < cameras.size(); ++i)
-            if (!masks[i].coverage.empty()) distances.push_back((cameras[i].centre_world() - middle).norm());
-        scale = o.known_distance / median(distances);
-    } else if (o.known_height > 0) {
-        const std::vector<MaskView> trusted = trusted_masks(r, masks);
-        Progress quiet;
-        const openvdb::FloatGrid::Ptr hull = coarse_hull(names_of(r.views), cameras, trusted, 256, 0.6, quiet);
-        const SeenExtent seen = seen_extent(*hull, cameras, trusted, up_direction(r.views.up, cameras));
-        if (!seen.top_seen || !seen.bottom_seen) throw UndeterminedError("--known-height: every silhouette is cut by its frame above or below, so how high the object is was not seen. Remedy: --known-distance");
-        scale = o.known_height / (seen.highest - seen.lowest);
-    } else if (o.known_length) {
-        scale = o.known_length->length / seen_length(r, cameras, trusted_masks(r, masks), *o.known_length);
-    } else {
-        if (r.method != AlignMethod::Refine) r.views.units.clear();
-        return;
-    }
-    r.views.units = o.units;
-    for (View& v : r.views.views) v.camera.camera_from_world.translation *= scale;
-    for (Sitting& s : r.views.sittings) s.scene_from_sitting.translation *= scale;
-    if (r.views.floor) *r.views.floor *= scale;
-    for (Camera& c : r.other_cameras) c.camera_from_world.translation *= scale;
-    for (auto& t : r.touches_world)
-        for (float& x : t) x = static_cast<float>(x * scale);
-    progress.note(text_of("scale: one camera distance is %.6g%s%s", scale, o.units.empty() ? "" : " ", o.units.c_str()));
-}
-
 }  // namespace
 
 AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) {
-    check_options(options, views.views.size(), masks.size());
+    check_align_options(options, views.views.size(), masks.size());
+    if (options.known_length) check_known_length(views, masks, *options.known_length);
     if (options.method == AlignMethod::Mat) return align_to_mat(views, options, progress);
     AlignResult out = Alignment(views, masks, options, progress).run();
     try {

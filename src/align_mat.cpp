@@ -16,6 +16,7 @@
 
 #include "aruco.h"
 #include "opencv_image.h"
+#include "orbit_model.h"
 #include "statistics.h"
 #include "text.h"
 #include "vdbcarve/error.h"
@@ -212,15 +213,16 @@ void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_fla
                 }
             }
         }
-        for (const auto& [key, first] : corner_of) {
-            const cv::Point3f now = print->count(key) ? print->at(key) : cv::Point3f(key.first, key.second, 0);
-            const double off[3] = {now.x - key.first, now.y - key.second, now.z}, sigma[3] = {kInPlane_m, kInPlane_m, kOffPlane_m};
-            for (int q = 0; q < 3; ++q) {
-                h(first + q, first + q) += 1 / (sigma[q] * sigma[q]);
-                g[first + q] += off[q] / (sigma[q] * sigma[q]);
-                cost += off[q] * off[q] / (sigma[q] * sigma[q]);
+        if (print)
+            for (const auto& [key, first] : corner_of) {
+                const cv::Point3f now = print->count(key) ? print->at(key) : cv::Point3f(key.first, key.second, 0);
+                const double off[3] = {now.x - key.first, now.y - key.second, now.z}, sigma[3] = {kInPlane_m, kInPlane_m, kOffPlane_m};
+                for (int q = 0; q < 3; ++q) {
+                    h(first + q, first + q) += 1 / (sigma[q] * sigma[q]);
+                    g[first + q] += off[q] / (sigma[q] * sigma[q]);
+                    cost += off[q] * off[q] / (sigma[q] * sigma[q]);
+                }
             }
-        }
         if (!(cost < last)) {  // the last step was none
             c = best.copy();
             if (print) *print = best_print, set_print(seen, *print);
@@ -254,11 +256,12 @@ void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_fla
             else if (which < 3) c.k.at<double>(which - 1, 2) += by;
             else c.distortion.at<double>(which - 3) += by;
         }
+        if (!print) continue;
         for (const auto& [key, first] : corner_of) {
             cv::Point3f& at = print->try_emplace(key, cv::Point3f(key.first, key.second, 0)).first->second;
             at.x += static_cast<float>(step[first]), at.y += static_cast<float>(step[first + 1]), at.z += static_cast<float>(step[first + 2]);
         }
-        if (print) set_print(seen, *print);
+        set_print(seen, *print);
     }
     c = best;
     if (print) *print = best_print, set_print(seen, *print);
@@ -356,7 +359,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     for (const Seen& s : all)
         if (enough(s)) seen.push_back(s);
     if (seen.size() < 4)
-        throw InputError(text_of("--method mat: the mat (%d x %d, %s) is seen in %zu of %zu views; at least 4 are needed. Remedy: check --mat against the print (a layout file beside it says it), sharper photographs, more of the mat in frame", mat.columns,
+        throw InputError(text_of("--method mat: the mat (%d x %d, %s) is seen in %zu of %zu views; at least 4 are needed. Remedy: check --mat against the print (the layout file beside it says it): dictionary, columns, rows; sharper photographs, more of the mat in frame", mat.columns,
                                  mat.rows, mat.dictionary.c_str(), seen.size(), given.views.size()));
     const Calibrator calibrator(given, o);
     // ---------------------------------------------------------------------------------- lens
@@ -449,7 +452,6 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     out.views = given;
     out.views.views.clear();
     std::vector<double> every, elevations;
-    double turned = 0, before = 0;
     for (size_t i = 0; i < seen.size(); ++i) {
         View v = given.views[seen[i].view];
         Intrinsics& k = v.camera.intrinsics;
@@ -469,9 +471,6 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         pose.rotation = nearest_rotation(pose.rotation);
         v.sitting = "0";
         const Vec3d centre = v.camera.centre_world();
-        const double azimuth = std::atan2(centre.y(), centre.x());
-        if (i > 0) turned += std::remainder(azimuth - before, 2 * std::numbers::pi);
-        before = azimuth;
         elevations.push_back(std::asin(centre.z() / centre.norm()) * 180 / std::numbers::pi);
         AlignedView a;
         a.name = v.name;
@@ -479,11 +478,12 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         const std::vector<double> e = errors_of(c, i, seen[i]);
         a.residual_p95_px = percentile(e, 0.95);
         a.coherent = share_within_half_pixel(e);
-        a.azimuth_deg = azimuth * 180 / std::numbers::pi;
         every.insert(every.end(), e.begin(), e.end());
         out.aligned.push_back(a);
         out.views.views.push_back(v);
     }
+    const std::vector<double> azimuths = azimuths_rad(out.views.cameras(), Vec3d::Zero(), Vec3d::UnitZ());
+    for (size_t i = 0; i < azimuths.size(); ++i) out.aligned[i].azimuth_deg = azimuths[i] / kRadians;
     for (const View& v : given.views)
         if (std::none_of(out.aligned.begin(), out.aligned.end(), [&](const AlignedView& a) { return a.name == v.name; })) out.left_out.push_back(v.name);
     out.views.sittings = {Sitting{}};
@@ -492,7 +492,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     out.views.floor = 0;
     out.views.format = "mat";
     out.views.metric = out.views.posed = true;
-    out.direction = turned > 0 ? Turn::Clockwise : Turn::Counterclockwise;  // the object's, before a camera that walks the other way
+    out.direction = turned_rad(azimuths) > 0 ? Turn::Clockwise : Turn::Counterclockwise;  // the object's, before a camera that walks the other way
     out.rms_px = rms(every);
     out.coherent = share_within_half_pixel(every);
     const Intrinsics& k = out.views.views.front().camera.intrinsics;
@@ -509,7 +509,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
                                        "(and print at 100 %%, on stiff paper)",
                                        1e3 * print_off_m));
     const double allowed = std::max(2.0, k.width_px / 500.0);
-    if (out.rms_px > allowed) out.failures.push_back(text_of("the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: a mat that is not flat, another mat than --mat says, or a zoom or focus that changed", out.rms_px, allowed));
+    if (out.rms_px > allowed) out.failures.push_back(text_of("the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: another mat than --mat says (the sizes of markers and gaps, columns, rows), a mat that is not flat, or a zoom or focus that changed. Remedy: check --mat; mat.png shows what was found where", out.rms_px, allowed));
     if (c.focal_sd_px > 0.02 * k.fx)
         out.warnings.push_back(text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px); the mat was seen from %.0f to %.0f degrees of elevation. Remedy: a few views from higher and lower", 100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px,
                                        *std::min_element(elevations.begin(), elevations.end()), *std::max_element(elevations.begin(), elevations.end())));

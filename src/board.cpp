@@ -11,6 +11,7 @@
 #include "aruco.h"
 #include "atomic_file.h"
 #include "io_image.h"
+#include "text.h"
 #include "vdbcarve/error.h"
 
 namespace vdbcarve {
@@ -96,6 +97,7 @@ void check_mat(const MatLayout& mat) {
     need(mat.columns >= 2 && mat.rows >= 2 && mat.columns <= 100 && mat.rows <= 100, "mat: " + std::to_string(mat.columns) + "x" + std::to_string(mat.rows) + ", must be 2x2 to 100x100");
     need(mat.kind == MatLayout::Kind::Grid || mat.rows % 2 == 1, "mat: a chessboard of " + std::to_string(mat.rows) + " rows; the number must be odd, as even ones are drawn differently by different versions of OpenCV");
     need(mat.marker_m > 0 && mat.step_m > mat.marker_m, mat.kind == MatLayout::Kind::Grid ? "mat: markers need a gap between them" : "mat: a marker must be smaller than its square");
+    need(mat.marker_m <= 1 && mat.width_m() <= 10 && mat.height_m() <= 10, text_of("mat: markers of %g m, %g x %g m in all: lengths are in metres, 35 mm are 0.035", mat.marker_m, mat.width_m(), mat.height_m()));
     const int known = dictionary_size(mat.dictionary);
     const int used = mat.kind == MatLayout::Kind::Grid ? mat.columns * mat.rows : mat.columns * mat.rows / 2;
     need(known == 0 || used <= known, "mat: " + std::to_string(used) + " markers, the dictionary " + mat.dictionary + " has " + std::to_string(known));

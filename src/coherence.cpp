@@ -319,18 +319,33 @@ std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const 
     const OrbitCamera& own = cameras[static_cast<size_t>(point.view)];
     const Vec3d m = sight(own, point), along = own.camera_from_world.transpose() * m;
     const Vec3d position = own.centre + touch.depth * along;
-    std::vector<Support> out;
+    struct Image {
+        float distance_px;
+        size_t view;
+        double u, v;
+        Vec3d in_camera;
+    };
+    std::vector<Image> images;
     for (size_t k = 0; k < views.size(); ++k) {
         if (static_cast<int>(k) == point.view || !constrains(views[k])) continue;
         const OrbitCamera& c = cameras[k];
         const Vec3d x = c.camera_from_world * (position - c.centre);
         if (x.z() < 1e-3) continue;
         const double u = c.fx * x.x() / x.z() + c.cx, v = c.fx * c.aspect * x.y() / x.z() + c.cy;
+        const float distance_px = Lookup(views[k]).distance(static_cast<float>(u), static_cast<float>(v));
+        if (distance_px > kSaysNothing) images.push_back({distance_px, k, u, v, x});
+    }
+    // The farthest first, those that do not count left out.
+    const size_t left_out = std::min(static_cast<size_t>(misses), images.empty() ? 0 : images.size() - 1), wanted = std::min(images.size(), left_out + most);
+    std::partial_sort(images.begin(), images.begin() + static_cast<long>(wanted), images.end(), [](const Image& a, const Image& b) { return a.distance_px != b.distance_px ? a.distance_px > b.distance_px : a.view < b.view; });
+    std::vector<Support> out;
+    for (size_t i = left_out; i < wanted && images[i].distance_px >= images[left_out].distance_px - reach_px; ++i) {
+        const auto& [distance_px, k, u, v, x] = images[i];
+        const OrbitCamera& c = cameras[k];
         float g[2];
         Support s;
         s.view = static_cast<int>(k);
         s.distance_px = Lookup(views[k]).distance(static_cast<float>(u), static_cast<float>(v), g);
-        if (s.distance_px <= kSaysNothing) continue;
         // Image position by a step of the point in the camera's frame.
         const Vec3d by_x(g[0] * c.fx / x.z(), g[1] * c.fx * c.aspect / x.z(), -(g[0] * (u - c.cx) + g[1] * (v - c.cy)) / x.z());
         const Vec3d by_world = c.camera_from_world.transpose() * by_x, turn = x.cross(by_x);  // R <- exp(w) R moves x by w cross x
@@ -351,11 +366,6 @@ std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const 
         s.by_own[kCentreY] = -touch.depth * in_own.y() / (own.fx * own.aspect);
         out.push_back(s);
     }
-    std::stable_sort(out.begin(), out.end(), [](const Support& a, const Support& b) { return a.distance_px > b.distance_px; });
-    out.erase(out.begin(), out.begin() + std::min<long>(misses, std::max<long>(0, static_cast<long>(out.size()) - 1)));
-    size_t kept = 0;
-    while (kept < out.size() && kept < most && out[kept].distance_px >= out[0].distance_px - reach_px) ++kept;
-    out.resize(kept);
     return out;
 }
 

@@ -50,7 +50,7 @@ SyntheticSpec read_spec(const fs::path& file) {
         }
         if (j.contains("rig")) {
             const json& r = j["rig"];
-            known(r, {"type", "motion", "start_deg", "arc_deg", "speed_variation", "sittings", "lens", "breathing", "views", "elevation_deg", "rings", "fov_deg", "distance", "fill", "orthographic", "width", "height", "pixel_aspect",
+            known(r, {"type", "motion", "start_deg", "arc_deg", "speed_variation", "sittings", "lens", "breathing", "crop_drift_px", "views", "elevation_deg", "rings", "fov_deg", "distance", "fill", "orthographic", "width", "height", "pixel_aspect",
                       "shake_angle_deg", "shake_elevation_deg", "shake_roll_deg", "shake_position", "shake_look_at"}, "rig: ");
             Rig& rig = spec.rig;
             const std::string type = r.value("type", "orbit");
@@ -66,6 +66,7 @@ SyntheticSpec read_spec(const fs::path& file) {
             rig.speed_variation = r.value("speed_variation", rig.speed_variation);
             rig.sittings = r.value("sittings", rig.sittings);
             rig.breathing = r.value("breathing", rig.breathing);
+            rig.crop_drift_px = r.value("crop_drift_px", rig.crop_drift_px);
             if (r.contains("lens")) {
                 rig.lens.model = Lens::Model::OpenCV;
                 rig.lens.coefficients = r["lens"].get<std::vector<double>>();

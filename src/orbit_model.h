@@ -12,6 +12,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <numbers>
 #include <optional>
 #include <string>
 #include <vector>
@@ -19,6 +20,8 @@
 #include "vdbcarve/geometry.h"
 
 namespace vdbcarve {
+
+inline constexpr double kRadians = std::numbers::pi / 180;  ///< to a degree
 
 /// A quantity to be estimated: a Gaussian prior around `mean`; sigma 0: it is held.
 struct Parameter {
@@ -37,6 +40,12 @@ struct OrbitCamera {
 
     Camera camera(int width_px, int height_px) const;
 };
+
+/// Where cameras stand around an axis through `middle`, rad, counterclockwise seen from the axis' end; 0: at x, or at y around x.
+std::vector<double> azimuths_rad(const std::vector<Camera>& cameras, const Vec3d& middle, const Vec3d& axis);
+
+/// How far such cameras went around, in the order given, rad, every step the shorter way.
+double turned_rad(const std::vector<double>& azimuths_rad);
 
 /// Derivatives of a camera are taken in these nine directions: a small turn in the camera's frame (R <- exp(w) R), its centre in the world,
 /// the logarithm of its focal length, its principal point.

@@ -164,6 +164,7 @@ class Job {
         const auto need = [&](bool ok, const std::string& what) {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
         };
+        need(o_.views.units.empty() || metres_per(o_.views.units), "--units " + o_.views.units + ": is none of m, cm, mm, km, inch, ft");
         need(!o_.align.mat || o_.align.method == AlignMethod::Mat, "--mat is of --method mat");
         need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
         need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
@@ -220,9 +221,14 @@ class Job {
         // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
         if (o_.align_again && views_.sittings.size() > 1) throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
         const bool mat = o_.align.method == AlignMethod::Mat;  // which says both
+        if (views_.posed && !o_.align_again)
+            if (const std::vector<std::string> given = given_options(o_.align); !given.empty())
+                throw UsageError(some_of(given) + ": the cameras of " + views_.camera_file.string() + " are used as they are, so this would be ignored. Remedy: --method refine to improve them, --cameras none to find others, or without it");
+        if (views_.posed && o_.align_again && o_.align.method == AlignMethod::Coherence)
+            progress_.note("of " + views_.camera_file.string() + " only focal lengths and lenses are taken, its poses are not looked at (--method refine starts from them)");
         if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
         if (o_.stl_mm && !mat) file_frame(".stl", frame_request());  // refuses where the unit is not known
-        progress_.note(std::to_string(views_.views.size()) + " views from " + views_.camera_file.string() + " (" + views_.format + ")");
+        progress_.note(counted(views_.views.size(), "view") + " from " + views_.camera_file.string() + " (" + views_.format + ")");
     }
 
     // --------------------------------------------------------------------------------------- masks
@@ -448,7 +454,7 @@ class Job {
     void say_alignment() {
         const json& a = report_["align"];
         if (o_.align.method == AlignMethod::Mat) {
-            progress_.note(text_of("cameras found from the mat in %zu views: its corners %.2f px (rms) from where they should be; focal length %.1f +- %.1f px; %s", views_.views.size(), a["residual_rms_px"].get<double>(), a["focal_px"].get<double>(),
+            progress_.note(text_of("cameras found from the mat in %s: its corners %.2f px (rms) from where they should be; focal length %.1f +- %.1f px; lengths in %s", counted(views_.views.size(), "view").c_str(), a["residual_rms_px"].get<double>(), a["focal_px"].get<double>(),
                                    a["focal_sd_px"].get<double>(), a["units"].get<std::string>().c_str()));
             return;
         }
@@ -481,8 +487,7 @@ class Job {
         std::vector<size_t> worst = used_;
         std::stable_sort(worst.begin(), worst.end(), [&](size_t a, size_t b) { return residual[views_.views[a].name] > residual[views_.views[b].name]; });
         worst.resize(std::min<size_t>(worst.size(), 12));
-        std::vector<std::string> names;
-        for (const View& v : views_.views) names.push_back(v.name);
+        const std::vector<std::string> names = views_.names();
         const std::vector<MaskView> masks = used_mask_views();
         const auto sheet = [&](const Views& views, const fs::path& file) {
             fs::remove(file);  // an earlier run's

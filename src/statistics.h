@@ -26,6 +26,8 @@ double median(std::vector<T> values) {
     return static_cast<double>(values[static_cast<size_t>(at)]);
 }
 
+inline double square(double x) { return x * x; }
+
 /// Root of the mean square; 0 for an empty sample.
 inline double rms(const std::vector<double>& values) {
     double sum = 0;

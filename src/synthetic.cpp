@@ -638,6 +638,7 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     need(rig.sittings == 1 || rig.sittings == 2, "one or two sittings");
     need(std::abs(rig.speed_variation) <= 0.9, "the speed's variation is at most 0.9");
     need(std::abs(rig.breathing) <= 0.5, "focus breathing is at most 0.5");
+    need(std::abs(rig.crop_drift_px) <= 1000, "the crop drifts by at most 1000 px");
     need(spec.look.jpeg_quality >= 0 && spec.look.jpeg_quality <= 100, "the JPEG quality must be 1..100 (0: PNG)");
     const MaskDamage& d = spec.damage;
     need(d.noise_px >= 0 && d.noise_px <= 50 && std::abs(d.dilate_px) <= 50 && d.correlation_px >= 0, "masks' noise and dilation are 0..50 px, its correlation is >= 0");
@@ -695,6 +696,9 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         const double factor = 1 + rig.breathing * std::sin(2 * kPi * 1.7 * static_cast<double>(i) / static_cast<double>(where.size()) + 0.6);
         breathed.fx *= factor;
         breathed.fy *= factor;
+        const double passed = 2 * kPi * static_cast<double>(i) / static_cast<double>(where.size());
+        breathed.cx += rig.crop_drift_px * std::sin(2.3 * passed + 1.1);
+        breathed.cy += rig.crop_drift_px * std::sin(1.4 * passed + 2.6);
         view.camera = look_at(place(azimuth, elevation) + moved, object.centre() + aim, rad(rig.shake_roll_deg) * dice(), breathed);
         scene.views.views.push_back(view);
         azimuths.push_back(azimuth);

@@ -18,6 +18,9 @@ inline std::string some_of(const std::vector<std::string>& names) {
     return out;
 }
 
+/// "1 view", "2 views".
+inline std::string counted(size_t count, const std::string& what) { return std::to_string(count) + " " + what + (count == 1 ? "" : "s"); }
+
 /// As printf makes it.
 std::string text_of(const char* format, ...) __attribute__((format(printf, 1, 2)));
 inline std::string text_of(const char* format, ...) {

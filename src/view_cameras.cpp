@@ -6,6 +6,12 @@
 
 namespace vdbcarve {
 
+std::vector<std::string> Views::names() const {
+    std::vector<std::string> out;
+    for (const View& v : views) out.push_back(v.name);
+    return out;
+}
+
 std::vector<Camera> Views::cameras() const {
     std::vector<Camera> out;
     for (const View& v : views) {

@@ -211,7 +211,7 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
         known += k.fx > 0;
     }
     // A focal length for some helps nobody: they are compared with each other.
-    progress.note(options.scene.string() + ": no camera file: cameras are to be found from the silhouettes");
+    progress.note(options.scene.string() + (options.cameras == "none" ? ": cameras are to be found (--cameras none)" : ": no camera file: cameras are to be found"));
     if (known < names.size())
         for (View& v : out.views) v.camera.intrinsics.fx = v.camera.intrinsics.fy = 0;
     else progress.note("focal length from the photographs: " + std::to_string(std::lround(out.views.front().camera.intrinsics.fx)) + " px");

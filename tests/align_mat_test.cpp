@@ -362,8 +362,10 @@ TEST(Align, AKnownLengthGivesTheScale) {
     EXPECT_EQ(r.views.units, "mm");
     const CameraErrors e = compare_cameras(r.views.cameras(), scene.views.cameras(), {});
     EXPECT_NEAR(e.truth_from_estimate.scale, 0.1, 0.001);
+    options.known_length->from_px = Vec2d(-2, 2);
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("outside of"), std::string::npos);
     options.known_length->from_px = Vec2d(2, 2);
-    EXPECT_NE(error_of(ExitCode::Input, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("does not show the object"), std::string::npos);
+    EXPECT_NE(error_of(ExitCode::Input, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("is background in its mask"), std::string::npos);
 }
 
 // A floor is a height in the world that the cameras were in; only what stays in that world keeps it.

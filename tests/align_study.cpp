@@ -181,6 +181,8 @@ std::vector<Case> cases() {
     add("arc 270, said to be 360", [](Job& j) { j.spec.rig.arc_deg = 270; });
     add("breathing 1.5 %", [](Job& j) { j.spec.rig.breathing = 0.015; });
     add("breathing 1.5 %, --focal-varies", [](Job& j) { j.spec.rig.breathing = 0.015, j.options.focal_varies = true; });
+    add("crop drifts by 8 px", [](Job& j) { j.spec.rig.crop_drift_px = 8; });
+    add("crop drifts by 8 px, --centre-varies", [](Job& j) { j.spec.rig.crop_drift_px = 8, j.options.centre_varies = true; });
     add("two rings", [](Job& j) {
         j.spec.rig.kind = Rig::Kind::Rings;
         j.spec.rig.rings = {{18, 5}, {18, 35}};

@@ -23,7 +23,6 @@ namespace vdbcarve::test {
 namespace {
 
 Progress quiet;
-constexpr double kRadians = std::numbers::pi / 180;
 
 std::vector<MaskView> views_of(const std::vector<Mask>& masks) {
     std::vector<MaskView> out;
@@ -403,7 +402,7 @@ TEST(Align, GivenCamerasAreRefinedInTheirOwnWorld) {
         p.rotation = p.rotation * world.rotation.transpose();
         p.translation = -(p.rotation * centre);
     }
-    nominal.up = "y";
+    nominal.up = "-y";
     nominal.units = "cm";
     AlignOptions options;
     options.method = AlignMethod::Refine;
@@ -413,8 +412,13 @@ TEST(Align, GivenCamerasAreRefinedInTheirOwnWorld) {
     EXPECT_GT(before.reprojection_rms_px, 2);
     EXPECT_LT(after.reprojection_rms_px, 0.4);
     EXPECT_NEAR(after.truth_from_estimate.scale, 1.0 / 25, 0.05 / 25) << "the world stays the given cameras'";
-    EXPECT_EQ(r.views.up, "y");
+    EXPECT_EQ(r.views.up, "-y");
     EXPECT_EQ(r.views.units, "cm");
+    EXPECT_EQ(r.direction, Turn::Clockwise) << "the cameras walk counterclockwise; the world's y is not quite their axis";
+    Views backwards = nominal;
+    std::reverse(backwards.views.begin(), backwards.views.end());
+    std::vector<Mask> masks(scene.masks.rbegin(), scene.masks.rend());
+    EXPECT_EQ(align(backwards, views_of(masks), options, quiet).direction, Turn::Counterclockwise);
 }
 
 TEST(Align, TwoRingsAndTwoSittingsFindEachOther) {
@@ -470,6 +474,48 @@ TEST(Align, OptionsThatContradictEachOtherAreNamedTogether) {
         for (const char* part : {"2 angles for 8 views", "--rings: 3 views together", "7 views, the scene has 8", "one of --known-distance"}) EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
     }
     EXPECT_THROW(align(without_cameras(scene.views, 0), std::vector<MaskView>(8), {}, quiet), InputError);
+    // What a method does not heed is not swallowed.
+    AlignOptions refine;
+    refine.method = AlignMethod::Refine;
+    refine.direction = Turn::Clockwise;
+    refine.paper_views = {"1", "2"};
+    EXPECT_EQ(given_options(refine), (std::vector<std::string>{"--direction", "--paper-views"}));
+    try {
+        align(scene.views, views_of(scene.masks), refine, quiet);
+        FAIL();
+    } catch (const UsageError& e) {
+        for (const char* part : {"--direction is of --method coherence or paper, not of refine", "--paper-views is of --method paper"}) EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
+    }
+    EXPECT_TRUE(given_options({}).empty());
+}
+
+// Half a turn brings a plate on its edge back to itself, a third does not; a lump is never the same.
+TEST(Align, ATwofoldSymmetryIsSeen) {
+    SyntheticSpec spec = small_orbit(2, 18);
+    Solid plate;
+    plate.kind = Solid::Kind::Box;
+    plate.size = Vec3d(0.6, 0.25, 0.45);
+    spec.solids = {plate};
+    spec.rig.elevation_deg = 25;
+    spec.rig.shake_angle_deg = 0;
+    AlignOptions options;
+    options.restarts = 0;
+    const Found f = find(spec, options);
+    EXPECT_EQ(f.result.symmetry, 2);
+    EXPECT_NE(std::find_if(f.result.warnings.begin(), f.result.warnings.end(), [](const std::string& w) { return w.find("1/2 of a turn") != std::string::npos; }), f.result.warnings.end());
+    EXPECT_EQ(find(small_orbit(2, 18), options).result.symmetry, 1);
+}
+
+// A stabiliser's crop wanders: given its own principal point, every view finds it.
+TEST(Align, ACropThatDriftsIsFollowed) {
+    SyntheticSpec spec = small_orbit(3, 18);
+    spec.rig.crop_drift_px = 5;
+    AlignOptions options;
+    options.restarts = 0;
+    options.centre_varies = true;
+    const Found f = find(spec, options);
+    EXPECT_TRUE(f.result.failures.empty()) << f.result.failures.front();
+    EXPECT_LT(f.errors.reprojection_rms_px, 0.5);
 }
 
 TEST(CompareCameras, DoesNotSeeASimilarity) {
@@ -533,6 +579,7 @@ TEST(AlignPipeline, MasksAloneBecomeAMeshAndAgainTheSame) {
     // What was found is a camera file like any other, and carves to the same bits.
     std::filesystem::copy_file(f.folder / "out/cameras.json", f.folder / "scene/cameras.json");
     f.options.output = f.folder / "out2";
+    f.options.align = {};
     f.run();
     EXPECT_EQ(read_text(f.folder / "out2/mesh.ply"), mesh);
 }

@@ -64,11 +64,22 @@ expect 0 'median IoU 0.99' check turn --cameras ../"$(basename "$work")"/aligned
 expect 2 '2 angles for 16 views' align turn --cameras none --angles 0,10 -o elsewhere
 expect 2 'improves cameras' align turn --cameras none --method refine -o elsewhere
 expect 2 'none of coherence, refine' align turn --method magic -o elsewhere
+expect 2 '--known-distance: the cameras of .*transforms.json are used as they are.*Remedy: --method refine' reconstruct turn --known-distance 300 -o elsewhere
+expect 2 '--direction, --arc auto: the cameras' reconstruct turn --direction cw --arc auto -o elsewhere
+expect 2 '--units furlong: is none of m, cm, mm' align turn --cameras none --known-distance 3 --units furlong -o elsewhere
+expect 2 '--orbit circle: is none of auto, turntable, fixed-camera, hand-held' align turn --cameras none --orbit circle -o elsewhere
+expect 2 '--restarts is of --method coherence or refine, not of paper' align turn --cameras none --method paper --restarts 5 -o elsewhere
+expect 2 '--mesher voxels: is none of dual, marching-cubes' reconstruct scene --mesher voxels -o elsewhere
+expect 2 'no view is called 99' align turn --cameras none --known-length 99:1,2,3,4:5 -o elsewhere
+expect 3 'is background in its mask' align turn --cameras none --known-length 3:1,2,160,120:5 -o elsewhere
+expect 0 'only focal lengths and lenses are taken' align turn --restarts 0 -o again
+expect 0 'method refine' align --help
 expect 2 'whole numbers of views' align turn --cameras none --rings 8.5,7.5 -o elsewhere
 expect 5 'UNVERIFIED' align turn --cameras none --direction ccw --fov 30 --restarts 0 -o wrong
 check 'what is not verified is shown' test -s wrong/preview.png
 expect 0 'at 100 %.*175.0 mm wide' board -o mat.pdf
 check 'the mat and its layout' test -s mat.pdf -a -s mat.pdf.json
+expect 2 'lengths are in metres, 35 mm are 0.035' board --mat grid:5x7:35:5:6X6_250 -o mm.png
 expect 2 'odd' board --mat charuco:7x8:0.03:0.02 -o mat.png
 # Whatever vectors the machine has.
 for set in generic avx2 avx512; do

@@ -599,6 +599,7 @@ TEST(Synthetic, HardShootsStayConsistent) {
     for (const Variant& v : {Variant{"two sittings", [](SyntheticSpec& s) { s.rig.sittings = 2; }},
                              Variant{"lens", [](SyntheticSpec& s) { s.rig.lens = {Lens::Model::OpenCV, {-0.2, 0.05, 0.001, -0.002}}; }},
                              Variant{"breathing", [](SyntheticSpec& s) { s.rig.breathing = 0.08; }},
+                             Variant{"crop drift", [](SyntheticSpec& s) { s.rig.crop_drift_px = 8; }},
                              Variant{"wide", [](SyntheticSpec& s) { s.rig.fov_deg = 100; }},
                              Variant{"arc", [](SyntheticSpec& s) { s.rig.arc_deg = 500, s.rig.speed_variation = 0.6, s.rig.start_deg = 40; }}}) {
         TemporaryFolder folder;

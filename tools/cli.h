@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/mask.h"
 #include "vdbcarve/progress.h"
@@ -50,5 +51,22 @@ void add_dcc_option(CLI::App& command, Dcc& dcc);
 
 /// "a,b,c" as numbers. Throws UsageError naming the option.
 std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');
+
+/// One of a few words, in whatever case. Throws UsageError naming all of them.
+template <class T>
+T one_of(const std::string& option, const std::string& text, const std::vector<std::pair<std::string, T>>& choices) {
+    std::string all;
+    for (const auto& [word, value] : choices) {
+        if (CLI::detail::to_lower(text) == word) return value;
+        all += (all.empty() ? "" : ", ") + word;
+    }
+    throw UsageError(option + " " + text + ": is none of " + all);
+}
+
+/// An option that takes one of them.
+template <class T>
+CLI::Option* add_choice(CLI::App& app, const std::string& option, T& target, const std::vector<std::pair<std::string, T>>& choices, const std::string& what) {
+    return app.add_option_function<std::string>(option, [&target, option, choices](const std::string& text) { target = one_of(option, text, choices); }, what)->type_name("WORD");
+}
 
 }  // namespace vdbcarve::cli

@@ -46,9 +46,8 @@ Command add_bench(CLI::App& program) {
     app->add_option("--dense-limit", raw->dense_limit_gb, "GB of volume up to which the dense method is run")->capture_default_str();
     app->add_flag("--carve-only", raw->carve_only, "leave level_set and mesh out");
     app->add_flag("--no-cpu", raw->no_cpu, "time the GPU only");
-    static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
     raw->options.backend = Backend::Auto;
-    app->add_option("--backend", raw->options.backend, "auto (also the GPU where there is one), cpu or cuda")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case));
+    add_choice<Backend>(*app, "--backend", raw->options.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}}, "auto (also the GPU where there is one), cpu or cuda");
     app->add_option("--device", raw->options.device, "number of the CUDA device")->capture_default_str()->check(CLI::NonNegativeNumber);
     app->add_option("--svg", raw->svg, "also pictures: FILE.svg, seconds over voxels, and FILE_views.svg, over views");
     return {app, [raw, views](Common& common, Progress& progress) {

@@ -123,9 +123,7 @@ std::string config_of(const CLI::App& program, const std::string& command) {
 }  // namespace
 
 void add_dcc_option(CLI::App& command, Dcc& dcc) {
-    static const std::map<std::string, Dcc> names{{"none", Dcc::None}, {"blender", Dcc::Blender}, {"houdini", Dcc::Houdini}, {"maya", Dcc::Maya}};
-    command.add_option("--dcc", dcc, "axes, units and colour grid's name for a program, in volumes and meshes alike: blender (z up, m), houdini (y up, m, Cd), maya (y up, cm), none")
-        ->transform(CLI::CheckedTransformer(names, CLI::ignore_case))
+    add_choice<Dcc>(command, "--dcc", dcc, {{"none", Dcc::None}, {"blender", Dcc::Blender}, {"houdini", Dcc::Houdini}, {"maya", Dcc::Maya}}, "axes, units and colour grid's name for a program, in volumes and meshes alike: blender (z up, m), houdini (y up, m, Cd), maya (y up, cm), none")
         ->group("Result");
 }
 
@@ -134,10 +132,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
     app->add_option("--images", views.images, "folder of photographs")->group("Scene");
     app->add_option("--cameras", views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices")->group("Scene");
     app->add_option("--masks", mask.masks, "folder of masks (white = object)")->group("Scene");
-    static const std::map<std::string, MaskMethod> methods{
-        {"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}};
-    app->add_option("--mask", mask.method, "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold")
-        ->transform(CLI::CheckedTransformer(methods, CLI::ignore_case))
+    add_choice<MaskMethod>(*app, "--mask", mask.method, {{"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}}, "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold")
         ->group("Masks");
     app->add_option("--mask-pattern", mask.pattern, "mask files by name, like '{stem}_m.png'")->group("Masks");
     app->add_option("--ignore-masks", mask.ignore_masks, "folder of masks of what neither carves nor confirms")->group("Masks");
@@ -150,10 +145,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
             if (mask.threshold.level > 255 || (mask.threshold.level < 0 && text != "auto" && text != "otsu"))
                 throw UsageError("--threshold " + text + ": must be auto, otsu or within 0..255");
         }, "level 0..255 for --mask threshold; auto: Otsu's of the square root; otsu")->default_str("auto")->group("Masks");
-    static const std::map<std::string, MaskChannel> channels{{"brightness", MaskChannel::Brightness}, {"saturation", MaskChannel::Saturation},
-                                                             {"red", MaskChannel::Red}, {"green", MaskChannel::Green}, {"blue", MaskChannel::Blue}};
-    app->add_option("--threshold-channel", mask.threshold.channel, "brightness (largest of R, G, B), saturation, red, green or blue")
-        ->transform(CLI::CheckedTransformer(channels, CLI::ignore_case))
+    add_choice<MaskChannel>(*app, "--threshold-channel", mask.threshold.channel, {{"brightness", MaskChannel::Brightness}, {"saturation", MaskChannel::Saturation}, {"red", MaskChannel::Red}, {"green", MaskChannel::Green}, {"blue", MaskChannel::Blue}}, "brightness (largest of R, G, B), saturation, red, green or blue")
         ->group("Masks");
     app->add_flag("--threshold-invert", mask.threshold.invert, "the object is what is darker")->group("Masks");
     app->add_option("--mask-open", mask.threshold.open_px, "opening of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
@@ -164,9 +156,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
         ->group("Masks");
     app->add_flag_function("--mask-all-components", [&mask](int64_t count) { mask.threshold.largest_component = count <= 0; }, "keep every piece of a threshold mask, not only the largest")->group("Masks");
 
-    static const std::map<std::string, PixelCentre> centres{{"corner", PixelCentre::Corner}, {"integer", PixelCentre::Integer}};
-    app->add_option("--pixel-centre", views.pixel_centre, "centre of the first pixel: corner (0.5, 0.5) or integer (0, 0); default: the camera format's own")
-        ->transform(CLI::CheckedTransformer(centres, CLI::ignore_case))
+    add_choice<PixelCentre>(*app, "--pixel-centre", views.pixel_centre, {{"corner", PixelCentre::Corner}, {"integer", PixelCentre::Integer}}, "centre of the first pixel: corner (0.5, 0.5) or integer (0, 0); default: the camera format's own")
         ->group("Scene");
     app->add_flag("--accept-non-metric", views.accept_non_metric, "carve in a projective world all the same")->group("Scene");
 }
@@ -176,32 +166,24 @@ namespace {
 void add_alignment(CLI::App& app, Raw& raw) {
     AlignOptions& a = raw.options.align;
     const char* group = "Alignment (without a camera file, or with --method)";
-    static const std::map<std::string, AlignMethod> methods{{"coherence", AlignMethod::Coherence}, {"refine", AlignMethod::Refine}, {"mat", AlignMethod::Mat}, {"paper", AlignMethod::Paper}};
     app.add_option_function<std::string>("--method", [&raw](const std::string& text) {
-           const auto found = methods.find(text);
-           if (found == methods.end()) throw UsageError("--method " + text + ": is none of coherence, refine, mat, paper");
-           raw.options.align.method = found->second;
+           raw.options.align.method = one_of<AlignMethod>("--method", text, {{"coherence", AlignMethod::Coherence}, {"refine", AlignMethod::Refine}, {"mat", AlignMethod::Mat}, {"paper", AlignMethod::Paper}});
            raw.options.align_again = true;
-       }, "how cameras are found: coherence (of silhouettes, from an orbit; default), refine (silhouettes and texture, from the camera file's), mat (markers under the object, see board), paper (Denkowski 2013, for comparison)")->group(group);
+       }, "how cameras are found: coherence (of silhouettes, from an orbit; default), refine (silhouettes and texture, from the camera file's), mat (markers under the object, see board), paper (Denkowski 2013, for comparison)")->type_name("WORD")->group(group);
     app.add_option("--mat", raw.mat, "the mat that the object stands on: the .json written beside the print, grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)")->group(group);
     app.add_flag("--features,!--no-features", a.features, "use the photographs' texture too: fitted by refine, asked for the direction by coherence (default)")->group(group);
     app.add_option("--paper-views", raw.paper_views, "A,B: names of the views of the front and of a quarter turn on, for --method paper")->group(group);
-    static const std::map<std::string, Orbit> orbits{{"auto", Orbit::Auto}, {"turntable", Orbit::Turntable}, {"fixed-camera", Orbit::FixedCamera}, {"hand-held", Orbit::HandHeld}};
-    app.add_option("--orbit", a.orbit, "who moves: turntable (by known steps), fixed-camera (steps uneven), hand-held; auto: the simplest that explains what it was not fitted to")
-        ->transform(CLI::CheckedTransformer(orbits, CLI::ignore_case))->group(group);
+    add_choice<Orbit>(app, "--orbit", a.orbit, {{"auto", Orbit::Auto}, {"turntable", Orbit::Turntable}, {"fixed-camera", Orbit::FixedCamera}, {"hand-held", Orbit::HandHeld}}, "who moves: turntable (by known steps), fixed-camera (steps uneven), hand-held; auto: the simplest that explains what it was not fitted to")->group(group);
     app.add_option("--angles", raw.angles, "degrees the object has turned at each view: equal (default), a list like 0,20,40 or a file with as many numbers as views")->group(group);
     app.add_option_function<std::string>("--arc", [&a](const std::string& text) {
            a.arc_known = text != "auto";
            if (a.arc_known) a.arc_deg = numbers("--arc", text, 1)[0];
        }, "degrees from the first view once around (360: the last view is one step before the first); auto: not known")->default_str("360")->group(group);
-    static const std::map<std::string, Turn> turns{{"auto", Turn::Auto}, {"cw", Turn::Clockwise}, {"ccw", Turn::Counterclockwise}};
-    app.add_option("--direction", a.direction,
-                   "the object's turn from view to view, seen from above: cw, ccw or auto. ccw: what is in front moves to the right in the images\n"
+    add_choice<Turn>(app, "--direction", a.direction, {{"auto", Turn::Auto}, {"cw", Turn::Clockwise}, {"ccw", Turn::Counterclockwise}}, "the object's turn from view to view, seen from above: cw, ccw or auto. ccw: what is in front moves to the right in the images\n"
                    "            ccw   .---.          cw   .---.\n"
                    "                 v     |             |     v\n"
                    "                  '-->'               '<--'\n"
-                   "                  [cam]               [cam]")
-        ->transform(CLI::CheckedTransformer(turns, CLI::ignore_case))->group(group);
+                   "                  [cam]               [cam]")->group(group);
     app.add_option("--rings", raw.rings, "views in each ring around the object, in the order of their names, like 24,24")->group(group);
     app.add_option("--sittings", raw.sittings, "views of each sitting (the object laid on another side), likewise")->group(group);
     app.add_option("--fov", a.fov_deg, "horizontal field of view, degrees (default: what the photographs say, else found)")->check(CLI::Range(1.0, 169.0))->group(group);
@@ -215,7 +197,7 @@ void add_alignment(CLI::App& app, Raw& raw) {
     app.add_flag("--accept-unobservable", raw.options.accept_unobservable, "go on with cameras that the silhouettes do not determine")->group(group);
 }
 
-Command add(CLI::App& program, const char* name, const char* what, LastStage last) {
+Command add(CLI::App& program, const char* name, const char* what, LastStage last, const char* example) {
     auto raw = std::make_shared<Raw>();
     ReconstructOptions& o = raw->options;
     o.last_stage = last;
@@ -226,6 +208,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
 
     add_scene_options(*app, o.views, o.mask);
     if (last != LastStage::Mask) add_alignment(*app, *raw);
+    if (*example) app->footer(example);
     if (last == LastStage::Align) o.align_again = true;
     if (last == LastStage::Carve || last == LastStage::Export) {
         app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(CLI::PositiveNumber)->group("Grid");
@@ -235,9 +218,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option("--origin", raw->origin, "x,y,z of the voxel lattice's corner (default 0,0,0)")->group("Grid");
         app->add_option("--max-misses", o.max_misses, "so many views may show background and a voxel stays")->capture_default_str()->check(CLI::Range(0, 15))->group("Carving");
         app->add_option("--min-seen", o.min_seen, "share of the views that must have a point in frame")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Carving");
-        static const std::map<std::string, bool> outside{{"unknown", false}, {"background", true}};
-        app->add_option("--outside", o.outside_is_background, "what lies outside an image: unknown (default) or background (the paper)")
-            ->transform(CLI::CheckedTransformer(outside, CLI::ignore_case))
+        add_choice<bool>(*app, "--outside", o.outside_is_background, {{"unknown", false}, {"background", true}}, "what lies outside an image: unknown (default) or background (the paper)")
             ->group("Carving");
         app->add_option("--silhouette-offset", o.distance.silhouette_offset_px, "grow silhouettes by so many pixels")->capture_default_str()->group("Carving");
         app->add_option_function<std::string>("--field-scale", [raw](const std::string& text) {
@@ -246,23 +227,18 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
             if (text != "auto" && (value < 1 || value > 1e6 || value != std::floor(value))) throw UsageError("--field-scale " + text + ": must be auto or a whole number >= 1");
         }, "pixels a side of a distance field's sample: auto (at least 2.5 samples to a voxel) or 1, 2, 4 …")->default_str("auto")->group("Carving");
         app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
-        static const std::map<std::string, Backend> backends{{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
-        app->add_option("--backend", o.backend, "auto (a GPU where there is one), cpu or cuda; the result is the same")->transform(CLI::CheckedTransformer(backends, CLI::ignore_case))->group("Carving");
+        add_choice<Backend>(*app, "--backend", o.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}}, "auto (a GPU where there is one), cpu or cuda; the result is the same")->group("Carving");
         app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Carving");
         app->add_option_function<std::string>("--memory-limit", [raw](const std::string& text) { raw->options.memory_limit = bytes_of("--memory-limit", text); },
                                               "resident memory that may be used, like 8G or 500M (default: nine tenths of the machine's)");
         app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
     }
     if (last == LastStage::Export) {
-        static const std::map<std::string, Mesher> meshers{{"dual", Mesher::Dual}, {"marching-cubes", Mesher::MarchingCubes}};
-        app->add_option("--mesher", o.mesher, "dual (OpenVDB's, default) or marching-cubes")->transform(CLI::CheckedTransformer(meshers, CLI::ignore_case))->group("Result");
+        add_choice<Mesher>(*app, "--mesher", o.mesher, {{"dual", Mesher::Dual}, {"marching-cubes", Mesher::MarchingCubes}}, "dual (OpenVDB's, default) or marching-cubes")->group("Result");
         app->add_flag("--normals", o.normals, "vertex normals from the volume's gradient, in mesh.ply (--mesher marching-cubes)")->group("Result");
         app->add_option("--adaptivity", o.adaptivity, "0: uniform mesh; up to 1: larger faces where flat")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Result");
-        static const std::map<std::string, ColorMode> modes{{"none", ColorMode::None}, {"best", ColorMode::Best}, {"blend", ColorMode::Blend}};
-        app->add_option("--color", o.color.mode, "blend (default): three views that see the place, weighted; best: the one most in front (the paper); none")
-            ->transform(CLI::CheckedTransformer(modes, CLI::ignore_case))->group("Colour");
-        static const std::map<std::string, bool> sources{{"volume", false}, {"images", true}};
-        app->add_option("--color-source", o.color_from_photos, "vertex colours from the volume (default: mesh and volume agree), or from the images vertex by vertex (sharper where voxels are coarse)")->transform(CLI::CheckedTransformer(sources, CLI::ignore_case))->group("Colour");
+        add_choice<ColorMode>(*app, "--color", o.color.mode, {{"none", ColorMode::None}, {"best", ColorMode::Best}, {"blend", ColorMode::Blend}}, "blend (default): three views that see the place, weighted; best: the one most in front (the paper); none")->group("Colour");
+        add_choice<bool>(*app, "--color-source", o.color_from_photos, {{"volume", false}, {"images", true}}, "vertex colours from the volume (default: mesh and volume agree), or from the images vertex by vertex (sharper where voxels are coarse)")->group("Colour");
         app->add_option("--color-depth", o.color.depth_vox, "layers of voxels, from the surface inwards, that get colour")->capture_default_str()->check(CLI::Range(1, 1000))->group("Colour");
         app->add_option_function<std::string>("--exposure", [raw](const std::string& text) {
             raw->options.color.exposure = text != "none";
@@ -273,8 +249,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
             for (const std::string& n : names) (n == "views" ? raw->options.views_grid : raw->options.confidence_grid) = true;
         }, "further grids for volume.vdb: views (how many were blended, 0: made up), confidence")->delimiter(',')->check(CLI::IsMember({"views", "confidence"}))->group("Colour");
         app->add_option("--color-normal-radius", o.color.normal_radius_vox, "the paper's normals, from a window of so many voxels (default: the level set's; 3 with --occupancy)")->check(CLI::Range(1, kMaxNormalRadius_vox))->group("Colour");
-        static const std::map<std::string, bool> onoff{{"on", true}, {"off", false}};
-        app->add_option("--color-occlusion", o.color.test_occlusion, "off: hidden surfaces take the colour of what stands before them, as in the paper")->transform(CLI::CheckedTransformer(onoff, CLI::ignore_case))->group("Colour");
+        add_choice<bool>(*app, "--color-occlusion", o.color.test_occlusion, {{"on", true}, {"off", false}}, "off: hidden surfaces take the colour of what stands before them, as in the paper")->group("Colour");
         app->add_flag("--paper", o.color.skip_upright, "with --color best: faces that look straight up or down (within 2.6 degrees) are left to the fill (the paper's listing 4.2)")->group("Colour");
         app->add_option_function<std::string>("--filter", [raw](const std::string& text) {
             raw->options.filters.reset();
@@ -282,9 +257,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         }, "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: none for soft masks, edge-preserving:2 for hard ones, :2x4 for --occupancy")->default_str("auto")->group("Filter");
         app->add_flag_function("--no-volume-repair", [raw](int64_t count) { raw->options.repair_volume = count <= 0; }, "leave the volume as the filter leaves it")->group("Filter");
         app->add_option("--keep-thin", o.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Filter");
-        static const std::map<std::string, bool> bases{{"hull", false}, {"flat", true}};
-        app->add_option("--base", o.flat_base, "the foot: hull (default; bulges where only slanted views bound it) or flat, cut where the lowest contour was seen (needs an up axis)")
-            ->transform(CLI::CheckedTransformer(bases, CLI::ignore_case))->group("Result");
+        add_choice<bool>(*app, "--base", o.flat_base, {{"hull", false}, {"flat", true}}, "the foot: hull (default; bulges where only slanted views bound it) or flat, cut where the lowest contour was seen (needs an up axis)")->group("Result");
         app->add_option("--cap-tolerance", o.cap_tolerance, "surface farther beyond the highest and lowest contours seen counts as extrapolated, scene units (default: 2 voxels)")->check(CLI::NonNegativeNumber)->group("Result");
         app->add_flag("--quads", o.quads, "keep quads in .ply and .obj (--mesher dual)")->group("Mesh");
         app->add_option("--min-piece", o.min_piece_share, "pieces with less of the mesh's volume are left out, as a share")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
@@ -343,12 +316,25 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
 }  // namespace
 
 Command add_reconstruct(CLI::App& program) {
-    return add(program, "reconstruct", "everything: views, masks, carving, level set, mesh, files", LastStage::Export);
+    return add(program, "reconstruct", "everything: views, masks, carving, level set, mesh, files", LastStage::Export,
+               "Examples:\n"
+               "  vdbcarve reconstruct shoot -o out                                        masks and cameras of the scene\n"
+               "  vdbcarve reconstruct photos --mask threshold --known-height 120 --units mm -o out   no cameras: found from the silhouettes\n"
+               "  vdbcarve reconstruct photos --cameras aligned/cameras.json -o out        cameras that align found\n"
+               "  vdbcarve reconstruct photos --method mat --mat mat.pdf.json -o out       cameras from a mat that board made, in true size\n"
+               "  vdbcarve reconstruct shoot --units mm --dcc blender -o out               in Blender's axes and metres");
 }
 Command add_align(CLI::App& program) {
-    return add(program, "align", "cameras from silhouettes, into OUT/cameras.json", LastStage::Align);
+    return add(program, "align", "cameras from silhouettes, texture or a marker mat, into OUT/cameras.json", LastStage::Align,
+               "Examples:\n"
+               "  vdbcarve align photos --mask threshold -o aligned                        an object turned once around, or walked around\n"
+               "  vdbcarve align photos --orbit turntable --direction ccw --fov 40 -o aligned   what is known may be said\n"
+               "  vdbcarve align photos --cameras colmap --method refine -o aligned        cameras that are nearly right, made better\n"
+               "  vdbcarve board -o mat.pdf; vdbcarve align photos --method mat --mat mat.pdf.json -o aligned\n"
+               "  vdbcarve reconstruct photos --cameras aligned/cameras.json -o out        goes on from there\n"
+               "Of cameras that the scene has already, refine takes everything, mat the lens where it is known, the others the focal length and lens only.");
 }
-Command add_mask(CLI::App& program) { return add(program, "mask", "only the masks, into OUT/masks", LastStage::Mask); }
-Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve); }
+Command add_mask(CLI::App& program) { return add(program, "mask", "only the masks, into OUT/masks", LastStage::Mask, "Example: vdbcarve mask dino --mask threshold --threshold 25 -o masks"); }
+Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve, "Example: vdbcarve carve shoot --resolution 512 -o hull"); }
 
 }  // namespace vdbcarve::cli

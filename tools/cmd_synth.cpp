@@ -18,7 +18,7 @@ struct Raw {
     uint64_t seed = 0;
     bool masks_only = false, force = false, orthographic = false;
     std::string motion, lens;
-    std::optional<double> elevation, start, arc, speed, breathing, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius, mask_share;
+    std::optional<double> elevation, start, arc, speed, breathing, crop_drift, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius, mask_share;
     std::optional<int> sittings, jpeg, holes, blobs;
     bool table = false, exif = false, flat = false;
     std::optional<double> exposure_jitter;
@@ -68,6 +68,7 @@ SyntheticSpec spec_of(const Raw& raw) {
     set(rig.speed_variation, raw.speed);
     set(rig.sittings, raw.sittings);
     set(rig.breathing, raw.breathing);
+    set(rig.crop_drift_px, raw.crop_drift);
     if (!raw.lens.empty()) {
         rig.lens.model = Lens::Model::OpenCV;
         rig.lens.coefficients = numbers("--lens", raw.lens, 4);
@@ -119,6 +120,7 @@ Command add_synth(CLI::App& program) {
     app->add_option("--sittings", raw->sittings, "2: half of the views show the object laid on its side")->check(CLI::Range(1, 2))->group("Motion");
     app->add_option("--lens", raw->lens, "k1,k2,p1,p2: distortion of photos and masks (OpenCV's model)")->group("Camera");
     app->add_option("--breathing", raw->breathing, "the focal length wanders by up to this share")->check(CLI::Range(0.0, 0.5))->group("Camera");
+    app->add_option("--crop-drift", raw->crop_drift, "the principal point wanders by up to so many pixels (a stabiliser's crop)")->check(CLI::Range(0.0, 1000.0))->group("Camera");
     app->add_option("--blur", raw->blur, "defocus, standard deviation in px")->check(CLI::Range(0.0, 50.0))->group("Camera");
     app->add_option("--noise", raw->noise, "sensor noise, standard deviation in 8-bit steps")->check(CLI::Range(0.0, 100.0))->group("Camera");
     app->add_option("--jpeg", raw->jpeg, "photos as .jpg of this quality")->check(CLI::Range(1, 100))->group("Camera");

@@ -74,6 +74,9 @@ struct AlignOptions {
     uint64_t seed = 1;
 };
 
+/// Options that are not what they are where nothing is said, as the command line calls them: "--direction", "--known-height" …
+std::vector<std::string> given_options(const AlignOptions& options);
+
 /// What one view says after alignment.
 struct AlignedView {
     std::string name;
@@ -99,7 +102,7 @@ struct AlignResult {
     AlignMethod method = AlignMethod::Coherence;
     Views views;                 ///< with cameras; world z is up, along the axis
     Orbit orbit = Orbit::HandHeld;
-    Turn direction = Turn::Counterclockwise;
+    Turn direction = Turn::Counterclockwise;  ///< Refine, Mat: as the views follow each other
     double rms_px = 0;           ///< of max(0, residual) over views that are not bad; Mat: of corners' distances to where they should be, like all residuals
     double coherent = 0;
     double mask_noise_px = 0;    ///< of the contours, estimated

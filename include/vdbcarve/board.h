@@ -30,7 +30,7 @@ struct MatLayout {
 MatLayout read_mat(const std::string& text_or_file);
 
 /// Throws UsageError for sizes that cannot be: fewer than 2 columns or rows, an even number of rows of a chessboard (its pattern differs between versions of OpenCV), a marker
-/// that does not fit its square, more markers than the dictionary has.
+/// that does not fit its square or is larger than a metre, more markers than the dictionary has.
 void check_mat(const MatLayout& mat);
 
 /// The pattern, black on white, with a white margin. Marker modules and squares fall on whole pixels, so the print's scale is exact: `dots_per_metre` is raised to

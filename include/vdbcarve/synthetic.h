@@ -63,6 +63,7 @@ struct Rig {
     double pixel_aspect = 1;         ///< fy / fx
     Lens lens;                       ///< photographs and masks are distorted by it
     double breathing = 0;            ///< the focal length wanders smoothly by up to this share (focus breathing)
+    double crop_drift_px = 0;        ///< the principal point wanders smoothly by up to this (a stabiliser's crop)
     // An unsteady hand: the true cameras deviate, uniformly within plus or minus these, from the nominal ones.
     double shake_angle_deg = 0, shake_elevation_deg = 0, shake_roll_deg = 0;
     double shake_position = 0, shake_look_at = 0;  ///< share of the distance

@@ -46,6 +46,7 @@ struct Views {
 
     /// The cameras in the scene's frame, every sitting's transform applied.
     std::vector<Camera> cameras() const;
+    std::vector<std::string> names() const;
 };
 
 enum class PixelCentre { Default, Corner, Integer };

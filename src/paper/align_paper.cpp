@@ -25,7 +25,6 @@
 namespace vdbcarve {
 namespace {
 
-constexpr double kRadians = std::numbers::pi / 180;
 constexpr int kObject_px = 90;      ///< of the object's longer side in the small pictures that are compared
 constexpr int kSide_px = 160;       ///< of those pictures
 constexpr int kTurns = 360;         ///< simulated views

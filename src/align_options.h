@@ -1,0 +1,11 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "vdbcarve/align.h"
+
+namespace vdbcarve {
+
+/// Throws UsageError naming every option that is out of range, contradicts another, or that the method does not heed.
+void check_align_options(const AlignOptions& o, size_t views, size_t masks);
+
+}  // namespace vdbcarve

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "align_scale.h"
+
+#include <openvdb/tools/RayIntersector.h>
+
+#include <array>
+
+#include "coarse_hull.h"
+#include "statistics.h"
+#include "text.h"
+#include "view_called.h"
+#include "vdbcarve/caps.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/kernel/distance.h"
+
+namespace vdbcarve {
+namespace {
+
+/// The distance, in the world found, between the places of the hull that two pixels of one view show.
+double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const KnownLength& known) {
+    const Camera& camera = cameras[view_called(r.views, known.view, "--known-length")];
+    Progress quiet;
+    const openvdb::FloatGrid::Ptr hull = coarse_hull(r.views.names(), cameras, masks, 256, 0.6, quiet);
+    using Intersector = openvdb::tools::LevelSetRayIntersector<openvdb::FloatGrid>;
+    const Intersector intersector(*hull);
+    std::array<Vec3d, 2> places;
+    for (size_t k = 0; k < 2; ++k) {
+        const Vec2d& pixel = k ? known.to_px : known.from_px;
+        const Camera::Ray ray = camera.ray(pixel);
+        openvdb::Vec3d hit;
+        const Intersector::RayType sight({ray.origin.x(), ray.origin.y(), ray.origin.z()}, {ray.direction.x(), ray.direction.y(), ray.direction.z()});
+        if (!intersector.intersectsWS(sight, hit)) throw InputError(text_of("--known-length: pixel %g, %g of %s does not show the object", pixel.x(), pixel.y(), known.view.c_str()));
+        places[k] = {hit.x(), hit.y(), hit.z()};
+    }
+    const double length = (places[1] - places[0]).norm();
+    if (!(length > 0)) throw InputError("--known-length: both pixels of " + known.view + " show the same place");
+    return length;
+}
+
+}  // namespace
+
+std::vector<MaskView> trusted_masks(const AlignResult& r, std::vector<MaskView> masks) {
+    for (size_t i = 0; i < masks.size(); ++i)
+        if (r.aligned[i].bad) masks[i] = {};
+    return masks;
+}
+
+void check_known_length(const Views& views, const std::vector<MaskView>& masks, const KnownLength& known) {
+    const size_t view = view_called(views, known.view, "--known-length");
+    const Intrinsics& k = views.views[view].camera.intrinsics;
+    for (const Vec2d& p : {known.from_px, known.to_px}) {
+        if (!(p.x() >= 0 && p.y() >= 0 && p.x() < k.width_px && p.y() < k.height_px))
+            throw UsageError(text_of("--known-length: pixel %g, %g is outside of %s, which has %d x %d pixels", p.x(), p.y(), known.view.c_str(), k.width_px, k.height_px));
+        const ImageView<uint8_t>& mask = masks[view].coverage;
+        if (!mask.empty() && !kernel::is_object(mask.at(static_cast<int>(p.x()), static_cast<int>(p.y()))))
+            throw InputError(text_of("--known-length: pixel %g, %g of %s is background in its mask. Remedy: two places within the silhouette", p.x(), p.y(), known.view.c_str()));
+    }
+    if (known.from_px == known.to_px) throw UsageError("--known-length: both pixels of " + known.view + " are the same");
+}
+
+void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
+    double scale = 1;
+    const std::vector<Camera> cameras = r.views.cameras();
+    if (o.known_distance > 0) {
+        Box3d outline;
+        for (const auto& t : r.touches_world) outline.extend(Vec3d(t[0], t[1], t[2]));
+        const Vec3d middle = outline.isEmpty() ? Vec3d::Zero().eval() : Vec3d(outline.center());
+        std::vector<double> distances;
+        for (size_t i = 0; i < cameras.size(); ++i)
+            if (!masks[i].coverage.empty()) distances.push_back((cameras[i].centre_world() - middle).norm());
+        scale = o.known_distance / median(distances);
+    } else if (o.known_height > 0) {
+        const std::vector<MaskView> trusted = trusted_masks(r, masks);
+        Progress quiet;
+        const openvdb::FloatGrid::Ptr hull = coarse_hull(r.views.names(), cameras, trusted, 256, 0.6, quiet);
+        const SeenExtent seen = seen_extent(*hull, cameras, trusted, up_direction(r.views.up, cameras));
+        if (!seen.top_seen || !seen.bottom_seen) throw UndeterminedError("--known-height: every silhouette is cut by its frame above or below, so how high the object is was not seen. Remedy: --known-distance");
+        scale = o.known_height / (seen.highest - seen.lowest);
+    } else if (o.known_length) {
+        scale = o.known_length->length / seen_length(r, cameras, trusted_masks(r, masks), *o.known_length);
+    } else {
+        if (r.method != AlignMethod::Refine) r.views.units.clear();
+        return;
+    }
+    r.views.units = o.units;
+    for (View& v : r.views.views) v.camera.camera_from_world.translation *= scale;
+    for (Sitting& s : r.views.sittings) s.scene_from_sitting.translation *= scale;
+    if (r.views.floor) *r.views.floor *= scale;
+    for (Camera& c : r.other_cameras) c.camera_from_world.translation *= scale;
+    for (auto& t : r.touches_world)
+        for (float& x : t) x = static_cast<float>(x * scale);
+    progress.note(text_of("scale: one camera distance is %.6g%s%s", scale, o.units.empty() ? "" : " ", o.units.c_str()));
+}
+
+}  // namespace vdbcarve
