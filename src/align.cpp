@@ -343,12 +343,47 @@ class Alignment {
             for (size_t i : bad) silhouettes_.set_bad(i, true);
             c_.misses = 0;
             aligner_.settle(c_);
-            const auto with_all = out_.aligned;
+            // One that is wrong draws touches away from where they belong, and its neighbours seem wrong too: each is asked alone, now that cameras are better. Who fits was named for nothing.
+            std::map<size_t, double> dissent;
+            const std::vector<size_t> named = bad;
+            for (size_t i : named) {
+                silhouettes_.set_bad(i, false);
+                const AlignedView alone = judged()[i];
+                silhouettes_.set_bad(i, true);
+                if (alone.residual_px < 1 && alone.dissent < 0.004) std::erase(bad, i);
+                else dissent[i] = alone.dissent;
+            }
+            if (bad.size() < named.size()) {
+                for (size_t i : named) silhouettes_.set_bad(i, std::find(bad.begin(), bad.end(), i) != bad.end());
+                aligner_.settle(c_);
+            }
             out_.aligned = judged();
-            for (size_t i : bad) out_.aligned[i].dissent = with_all[i].dissent;
+            for (const auto& [i, share] : dissent) out_.aligned[i].dissent = share;
         }
         name_holes();
+        if (o_.method == AlignMethod::Coherence && c_.orbit != Orbit::Turntable) move_strays();
         progress_.step(1);
+    }
+
+    /// A few views may have found a place of their own that the others cannot talk them out of: the rest settles without them, and they start anew from where their neighbours are.
+    void move_strays() {
+        std::vector<double> own;
+        for (size_t i : silhouettes_.seen())
+            if (!silhouettes_.bad(i)) own.push_back(out_.aligned[i].residual_px);
+        const double limit_px = std::max(0.1, 4 * median(own));
+        std::vector<size_t> strays;
+        for (size_t i : silhouettes_.seen())
+            if (!silhouettes_.bad(i) && out_.aligned[i].residual_px > limit_px) strays.push_back(i);
+        if (strays.empty() || 6 * strays.size() > own.size()) return;
+        Candidate anew = c_;
+        for (size_t i : strays) silhouettes_.set_bad(i, true);
+        aligner_.settle(anew);
+        for (size_t i : strays) silhouettes_.set_bad(i, false);
+        aligner_.polish(anew);
+        aligner_.trace("%zu strays started anew: %.4f px, before %.4f", strays.size(), anew.rms_px(), c_.rms_px());
+        if (anew.rms_px() > 0.8 * c_.rms_px()) return;
+        c_ = anew;
+        out_.aligned = judged();
     }
 
     /// A hole within a silhouette moves no camera and pushes few contours, but carves: what all views but one keep, deep within what that one calls background, is a mistake
@@ -395,7 +430,9 @@ class Alignment {
 
     /// The same result from disturbed angles?
     void disturb() {
-        const std::vector<size_t>& seen = silhouettes_.seen();
+        std::vector<size_t> seen;  // bad ones constrain nobody: where they stand says nothing
+        for (size_t i : silhouettes_.seen())
+            if (!silhouettes_.bad(i)) seen.push_back(i);
         std::mt19937_64 random(o_.seed);
         std::normal_distribution<double> normal;
         CoherencePass quick = aligner_.middle();
@@ -596,7 +633,7 @@ class Alignment {
     std::string why_not() const {
         if (o_.method == AlignMethod::Paper) return "The paper's method rarely does better on an unsteady camera. Remedy: --method coherence";
         if (o_.method == AlignMethod::Refine) return "The cameras given are too far from the truth, or masks and cameras do not belong together. Remedy: --cameras none --method coherence, where the views go around the object";
-        std::string out = "Not one turn of the object at even steps (--angles, --arc), masks of different objects, or an orbit too far from what was assumed (--orbit, --fov)";
+        std::string out = "Remedy: is it one of these? Not one turn of the object at even steps (--angles, --arc), masks of different objects, or an orbit too far from what was assumed (--orbit, --fov)";
         if (o_.direction != Turn::Auto) out += text_of(", or it turned the other way than --direction %s says", name_of(o_.direction));
         return out;
     }
@@ -613,9 +650,9 @@ class Alignment {
             loose.push_back(given_.views[i].name);
         }
         if (!loose.empty())
-            out_.failures.push_back(text_of("the silhouettes leave the angles of %zu views open by up to %.0f degrees, and the shape depends on them: %s. Remedy: --orbit turntable, where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
+            out_.failures.push_back(text_of("the silhouettes leave the angles of %s open by up to %.0f degrees, and the shape depends on them: %s. Remedy: --orbit turntable, where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
                                             "mat",
-                                            loose.size(), widest, some_of(loose).c_str()));
+                                            counted(loose.size(), "view").c_str(), widest, some_of(loose).c_str()));
     }
 
     void undecided_direction() {

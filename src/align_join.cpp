@@ -41,7 +41,7 @@ std::vector<Group> groups_of(const AlignOptions& o, size_t views) {
     int sitting = 0;
     for (size_t end : ring_ends) {
         while (sitting_ends[static_cast<size_t>(sitting)] <= first) ++sitting;
-        if (end > sitting_ends[static_cast<size_t>(sitting)]) throw UsageError("--rings and --sittings: a ring goes over the end of sitting " + std::to_string(sitting));
+        if (end > sitting_ends[static_cast<size_t>(sitting)]) throw UsageError("--rings and --sittings: a ring goes over the end of sitting " + std::to_string(sitting) + ". Remedy: rings within each sitting, like --sittings 24,24 --rings 12,12,24");
         out.push_back({first, end - first, sitting});
         first = end;
     }

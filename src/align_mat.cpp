@@ -362,6 +362,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         throw InputError(text_of("--method mat: the mat (%d x %d, %s) is seen in %zu of %zu views; at least 4 are needed. Remedy: check --mat against the print (the layout file beside it says it): dictionary, columns, rows; sharper photographs, more of the mat in frame", mat.columns,
                                  mat.rows, mat.dictionary.c_str(), seen.size(), given.views.size()));
     const Calibrator calibrator(given, o);
+    if (calibrator.calibrated() && (o.fov_deg > 0 || o.principal_point_px)) throw UsageError("--method mat: the cameras given say lens and principal point: --fov and --principal-point would say it again. Remedy: --cameras none, or without them");
     // ---------------------------------------------------------------------------------- lens
     const LensRung* rung = &kLensRungs[0];
     if (!calibrator.calibrated()) {
@@ -471,7 +472,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         pose.rotation = nearest_rotation(pose.rotation);
         v.sitting = "0";
         const Vec3d centre = v.camera.centre_world();
-        elevations.push_back(std::asin(centre.z() / centre.norm()) * 180 / std::numbers::pi);
+        elevations.push_back(std::asin(centre.z() / centre.norm()) / kRadians);
         AlignedView a;
         a.name = v.name;
         a.residual_px = errors_px[i];
@@ -503,7 +504,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     out.principal_x_px = k.cx, out.principal_y_px = k.cy;
     out.picture_name = "mat";
     out.picture = picture_of(given, seen, c, errors_px);
-    if (!out.left_out.empty()) out.warnings.push_back(text_of("%zu views are left out, the mat is not seen well enough in them: %s", out.left_out.size(), some_of(out.left_out).c_str()));
+    if (!out.left_out.empty()) out.warnings.push_back(text_of("%s left out, the mat is not seen well enough: %s", counted(out.left_out.size(), "view").c_str(), some_of(out.left_out).c_str()));
     if (print_off_m > 0)
         out.warnings.push_back(text_of("the print is not quite the mat that --mat says: its corners are %.2f mm (rms) from where they should be, all views agree. That was allowed for, and the scale is that of the layout as a whole. Remedy: measure the print "
                                        "(and print at 100 %%, on stiff paper)",

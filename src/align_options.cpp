@@ -20,7 +20,8 @@ struct Option {
 
 std::vector<Option> options_of(const AlignOptions& o) {
     const AlignOptions meant;
-    return {{"--mat", o.mat.has_value(), kMat},
+    return {{"--method", o.method != meant.method, kCoherence | kRefine | kMat | kPaper},
+            {"--mat", o.mat.has_value(), kMat},
             {"--orbit", o.orbit != meant.orbit, kCoherence},
             {"--direction", o.direction != meant.direction, kCoherence | kPaper},
             {"--angles", !o.angles_deg.empty(), kCoherence | kPaper},
@@ -63,7 +64,7 @@ void check_align_options(const AlignOptions& o, size_t views, size_t masks) {
     };
     need(masks == views || o.method == AlignMethod::Mat, "align: as many masks as views are needed");
     const auto method = static_cast<unsigned>(std::find(std::begin(kMethods), std::end(kMethods), o.method) - std::begin(kMethods));
-    for (const Option& x : options_of(o)) need(!x.given || (x.heeded_by & (1U << method)), text_of("%s is of --method %s, not of %s", x.name, names_of_methods(x.heeded_by).c_str(), name_of(o.method)));
+    for (const Option& x : options_of(o)) need(!x.given || (x.heeded_by & (1U << method)), text_of("%s is of --method %s, not of %s%s", x.name, names_of_methods(x.heeded_by).c_str(), name_of(o.method), o.method == AlignMethod::Mat && std::string(x.name).find("--known") == 0 ? " (the mat gives the scale)" : ""));
     need(o.method != AlignMethod::Mat || o.mat, "--method mat: which mat? Remedy: --mat FILE, the layout that was written beside the print");
     need(o.angles_deg.empty() || o.angles_deg.size() == views, "--angles: " + counted(o.angles_deg.size(), "angle") + " for " + counted(views, "view"));
     for (const auto& [name, counts] : {std::pair{"--rings", &o.rings}, {"--sittings", &o.sittings}}) {
@@ -74,6 +75,7 @@ void check_align_options(const AlignOptions& o, size_t views, size_t masks) {
         }
         need(counts->empty() || static_cast<size_t>(sum) == views, std::string(name) + ": " + counted(static_cast<size_t>(sum), "view") + ", the scene has " + std::to_string(views));
     }
+    need(o.angles_deg.empty() || (o.arc_known && o.arc_deg == AlignOptions().arc_deg), "--angles say how far the object turned: --arc would say it again. Remedy: one of them");
     need(o.arc_deg >= 20 && o.arc_deg <= 3600, text_of("--arc: %g degrees, must be 20..3600", o.arc_deg));
     need(o.fov_deg >= 0 && o.fov_deg < 170, text_of("--fov: %g degrees, must be within 0..170", o.fov_deg));
     need(o.points >= 10 && o.points <= 5000, text_of("align: %d contour points a view, must be 10..5000", o.points));

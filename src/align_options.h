@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Which options an alignment heeds. Private.
 #pragma once
 
 #include "vdbcarve/align.h"

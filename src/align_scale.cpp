@@ -29,11 +29,11 @@ double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, con
         const Camera::Ray ray = camera.ray(pixel);
         openvdb::Vec3d hit;
         const Intersector::RayType sight({ray.origin.x(), ray.origin.y(), ray.origin.z()}, {ray.direction.x(), ray.direction.y(), ray.direction.z()});
-        if (!intersector.intersectsWS(sight, hit)) throw InputError(text_of("--known-length: pixel %g, %g of %s does not show the object", pixel.x(), pixel.y(), known.view.c_str()));
+        if (!intersector.intersectsWS(sight, hit)) throw InputError(text_of("--known-length: pixel %g, %g of %s does not show the object as the cameras found have it. Remedy: places farther within the silhouette", pixel.x(), pixel.y(), known.view.c_str()));
         places[k] = {hit.x(), hit.y(), hit.z()};
     }
     const double length = (places[1] - places[0]).norm();
-    if (!(length > 0)) throw InputError("--known-length: both pixels of " + known.view + " show the same place");
+    if (!(length > 0)) throw InputError("--known-length: both pixels of " + known.view + " show the same place. Remedy: others, farther apart");
     return length;
 }
 
@@ -48,14 +48,15 @@ std::vector<MaskView> trusted_masks(const AlignResult& r, std::vector<MaskView> 
 void check_known_length(const Views& views, const std::vector<MaskView>& masks, const KnownLength& known) {
     const size_t view = view_called(views, known.view, "--known-length");
     const Intrinsics& k = views.views[view].camera.intrinsics;
+    const ImageView<uint8_t> mask = masks.empty() ? ImageView<uint8_t>() : masks[view].coverage;
+    const int width = mask.empty() ? k.width_px : mask.width, height = mask.empty() ? k.height_px : mask.height;
     for (const Vec2d& p : {known.from_px, known.to_px}) {
-        if (!(p.x() >= 0 && p.y() >= 0 && p.x() < k.width_px && p.y() < k.height_px))
-            throw UsageError(text_of("--known-length: pixel %g, %g is outside of %s, which has %d x %d pixels", p.x(), p.y(), known.view.c_str(), k.width_px, k.height_px));
-        const ImageView<uint8_t>& mask = masks[view].coverage;
+        if (!(p.x() >= 0 && p.y() >= 0 && p.x() < width && p.y() < height))
+            throw UsageError(text_of("--known-length: pixel %g, %g is outside of %s, which has %d x %d pixels. Remedy: two places within its silhouette", p.x(), p.y(), known.view.c_str(), width, height));
         if (!mask.empty() && !kernel::is_object(mask.at(static_cast<int>(p.x()), static_cast<int>(p.y()))))
             throw InputError(text_of("--known-length: pixel %g, %g of %s is background in its mask. Remedy: two places within the silhouette", p.x(), p.y(), known.view.c_str()));
     }
-    if (known.from_px == known.to_px) throw UsageError("--known-length: both pixels of " + known.view + " are the same");
+    if (known.from_px == known.to_px) throw UsageError("--known-length: both pixels of " + known.view + " are the same. Remedy: two places of the object");
 }
 
 void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {

@@ -237,6 +237,10 @@ bool constrains(const CoherenceView& view) { return view.field && view.field->sh
 
 }  // namespace
 
+double distance_px(const kernel::FieldView& field, int scale, double x_px, double y_px) {
+    return kernel::interpolate(kernel::fetch_patch(field, static_cast<float>(x_px / scale), static_cast<float>(y_px / scale))) * scale / kernel::kFieldUnits;
+}
+
 void find_open_sides(const MaskView& mask, CoherenceView& view) {
     const ImageView<uint8_t>& m = mask.coverage;
     for (bool& side : view.open) side = false;
@@ -345,7 +349,8 @@ std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const 
         float g[2];
         Support s;
         s.view = static_cast<int>(k);
-        s.distance_px = Lookup(views[k]).distance(static_cast<float>(u), static_cast<float>(v), g);
+        s.distance_px = distance_px;
+        Lookup(views[k]).distance(static_cast<float>(u), static_cast<float>(v), g);
         // Image position by a step of the point in the camera's frame.
         const Vec3d by_x(g[0] * c.fx / x.z(), g[1] * c.fx * c.aspect / x.z(), -(g[0] * (u - c.cx) + g[1] * (v - c.cy)) / x.z());
         const Vec3d by_world = c.camera_from_world.transpose() * by_x, turn = x.cross(by_x);  // R <- exp(w) R moves x by w cross x

@@ -21,6 +21,9 @@ struct CoherenceView {
     bool open[4] = {};
 };
 
+/// Signed distance to a silhouette at a place of its image; `scale`: pixels a side of the field's samples.
+double distance_px(const kernel::FieldView& field, int scale, double x_px, double y_px);
+
 struct ContourPoint {
     int view;
     float x_px, y_px;

@@ -261,28 +261,31 @@ class SimilarSystems {
   public:
     /// a x = b, of a the lower triangle.
     Eigen::VectorXd solve(const Eigen::MatrixXd& a, const Eigen::VectorXd& b) {
-        constexpr int kMostIterations = 20;
+        constexpr int kMostIterations = 20;  // then a new factor costs less
         constexpr double kResidual = 1e-10;
-        if (factor_.rows() == a.rows()) {
+        if (usable_ && factor_.rows() == a.rows()) {
             Eigen::VectorXd x = factor_.solve(b), r = b - a.selfadjointView<Eigen::Lower>() * x, z = factor_.solve(r), p = z;
             double rz = r.dot(z);
             for (int i = 0; i < kMostIterations; ++i) {
-                if (!(r.norm() > kResidual * b.norm())) return x;
+                if (r.norm() <= kResidual * b.norm()) return x;
                 const Eigen::VectorXd ap = a.selfadjointView<Eigen::Lower>() * p;
-                const double along = rz / p.dot(ap);
-                x += along * p;
-                r -= along * ap;
+                const double curved = p.dot(ap);
+                if (!(curved > 0) || !std::isfinite(rz)) break;
+                x += rz / curved * p;
+                r -= rz / curved * ap;
                 z = factor_.solve(r);
                 const double before = std::exchange(rz, r.dot(z));
                 p = z + rz / before * p;
             }
         }
         factor_.compute(a);
+        usable_ = factor_.info() == Eigen::Success;
         return factor_.solve(b);
     }
 
   private:
     Eigen::LLT<Eigen::MatrixXd> factor_;
+    bool usable_ = false;
 };
 
 /// What steps of one pass use again and again.
@@ -500,7 +503,7 @@ void refine(CoherenceFit& f, Silhouettes& silhouettes, const CoherencePass& pass
             next.model = stepped(f.model, free, step);
             next.touches = find_touches(views, next.model.cameras(), f.points, search, f.touches);
             next.cost = cost_of(next, pass);
-            if (next.cost >= f.cost) {
+            if (!(next.cost < f.cost)) {
                 damping *= grow;
                 continue;
             }

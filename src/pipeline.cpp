@@ -12,6 +12,8 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "align_options.h"
+#include "align_scale.h"
 #include "atomic_file.h"
 #include "carve_plan.h"
 #include "coarse_hull.h"
@@ -165,7 +167,6 @@ class Job {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
         };
         need(o_.views.units.empty() || metres_per(o_.views.units), "--units " + o_.views.units + ": is none of m, cm, mm, km, inch, ft");
-        need(!o_.align.mat || o_.align.method == AlignMethod::Mat, "--mat is of --method mat");
         need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
         need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
         need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
@@ -221,11 +222,15 @@ class Job {
         // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
         if (o_.align_again && views_.sittings.size() > 1) throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
         const bool mat = o_.align.method == AlignMethod::Mat;  // which says both
-        if (views_.posed && !o_.align_again)
+        if (views_.posed && !o_.align_again) {
             if (const std::vector<std::string> given = given_options(o_.align); !given.empty())
-                throw UsageError(some_of(given) + ": the cameras of " + views_.camera_file.string() + " are used as they are, so this would be ignored. Remedy: --method refine to improve them, --cameras none to find others, or without it");
-        if (views_.posed && o_.align_again && o_.align.method == AlignMethod::Coherence)
-            progress_.note("of " + views_.camera_file.string() + " only focal lengths and lenses are taken, its poses are not looked at (--method refine starts from them)");
+                throw UsageError(some_of(given) + ": the cameras of " + views_.camera_file.string() + " are used as they are, so this would be ignored. Remedy: --method refine to improve them, --cameras none to find others, or without it, also in config.toml");
+        } else if (o_.last_stage != LastStage::Mask) {
+            check_align_options(o_.align, views_.views.size(), views_.views.size());
+            if (o_.align.known_length) check_known_length(views_, {}, *o_.align.known_length);
+        }
+        if (views_.posed && o_.align_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
+            progress_.note("of " + views_.camera_file.string() + " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
         if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
         if (o_.stl_mm && !mat) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(counted(views_.views.size(), "view") + " from " + views_.camera_file.string() + " (" + views_.format + ")");

@@ -9,10 +9,6 @@
 
 namespace vdbcarve {
 
-double distance_px(const kernel::FieldView& field, int scale, double x_px, double y_px) {
-    return kernel::interpolate(kernel::fetch_patch(field, static_cast<float>(x_px / scale), static_cast<float>(y_px / scale))) * scale / kernel::kFieldUnits;
-}
-
 RingAligner::RingAligner(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) : given_(views), o_(options), progress_(progress), silhouettes_(masks), n_(masks.size()) {
     if (silhouettes_.seen().size() < 4) throw InputError("align: " + std::to_string(silhouettes_.seen().size()) + " views with a silhouette; at least 4 are needed, a dozen make sense");
     mask_noise_px_ = find_mask_noise_px();
@@ -69,17 +65,44 @@ OrbitModel RingAligner::start(Orbit orbit, Turn direction, const Start& from) co
     return m;
 }
 
+Vec2d RingAligner::aim_of(const OrbitModel& m, size_t i) const {
+    const OrbitCamera c = m.camera(i);
+    return {std::atan2(silhouettes_.extent(i).cx - c.cx, c.fx), -std::atan2(silhouettes_.extent(i).cy - c.cy, c.fx * c.aspect)};
+}
+
 void RingAligner::aim(OrbitModel& m, Orbit orbit) const {
     std::vector<double> pan, tilt;
     for (size_t i : silhouettes_.seen()) {
-        const OrbitCamera c = m.camera(i);
-        pan.push_back(std::atan2(silhouettes_.extent(i).cx - c.cx, c.fx));
-        tilt.push_back(-std::atan2(silhouettes_.extent(i).cy - c.cy, c.fx * c.aspect));
-        if (orbit == Orbit::HandHeld) m.of(i, OrbitModel::Pan).value = pan.back(), m.of(i, OrbitModel::Tilt).value = tilt.back();
+        const Vec2d aim = aim_of(m, i);
+        pan.push_back(aim.x());
+        tilt.push_back(aim.y());
+        if (orbit == Orbit::HandHeld) m.of(i, OrbitModel::Pan).value = aim.x(), m.of(i, OrbitModel::Tilt).value = aim.y();
     }
     if (orbit == Orbit::HandHeld) return;
     m.ring(0, OrbitModel::RingPan).value = median(pan);
     m.ring(0, OrbitModel::RingTilt).value = median(tilt);
+}
+
+void RingAligner::start_anew(Candidate& c, size_t i) const {
+    OrbitModel& m = c.fit.model;
+    std::vector<size_t> near;
+    for (size_t j : silhouettes_.seen())
+        if (!silhouettes_.bad(j) && m.ring_of(j) == m.ring_of(i)) near.push_back(j);
+    if (near.empty()) return;
+    std::stable_sort(near.begin(), near.end(), [&](size_t a, size_t b) { return std::max(a, i) - std::min(a, i) < std::max(b, i) - std::min(b, i); });
+    near.resize(std::min<size_t>(2, near.size()));
+    Vec2d off = Vec2d::Zero();  // of the neighbours' aims from their silhouettes' middles, which the object's shape makes
+    for (size_t j : near) off += (Vec2d(m.of(j, OrbitModel::Pan).value, m.of(j, OrbitModel::Tilt).value) - aim_of(m, j)) / static_cast<double>(near.size());
+    for (int part = 0; part < OrbitModel::kViewParts; ++part) {
+        const auto p = static_cast<OrbitModel::ViewPart>(part);
+        double mean = 0;
+        for (size_t j : near) mean += m.of(j, p).value / static_cast<double>(near.size());
+        m.of(i, p).value = mean;
+    }
+    if (c.orbit != Orbit::HandHeld) return;
+    const Vec2d aim = aim_of(m, i) + off;
+    m.of(i, OrbitModel::Pan).value = aim.x();
+    m.of(i, OrbitModel::Tilt).value = aim.y();
 }
 
 void RingAligner::free_parts(OrbitModel& m, Orbit orbit) const {
@@ -135,8 +158,8 @@ Candidate RingAligner::climbed(const Candidate& c, Orbit orbit) const {
     OrbitModel& m = out.fit.model;
     if (orbit == Orbit::HandHeld)
         for (const auto& [shared, own] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}}) {
-            for (size_t i = 0; i < n_; ++i) m.of(i, own).value += m.ring(0, shared).value;
-            m.ring(0, shared).hold(0);
+            for (size_t i = 0; i < n_; ++i) m.of(i, own).value += m.ring(static_cast<size_t>(m.ring_of(i)), shared).value;
+            for (size_t r = 0; r < m.rings(); ++r) m.ring(r, shared).hold(0);
         }
     free_parts(m, orbit);
     return out;
@@ -246,6 +269,26 @@ void RingAligner::settle(Candidate& c) {
     fit(c, pass, 6);
     polish(c);
     place_bad(c, middle());
+    // They may have been led astray before they were known to be bad: from their neighbours' places, each has a second chance.
+    Candidate anew = c;
+    for (size_t i : silhouettes_.seen())
+        if (silhouettes_.bad(i)) start_anew(anew, i);
+    place_bad(anew, coarse());
+    place_bad(anew, middle());
+    const std::vector<double> before = outside_of_bad(c), after = outside_of_bad(anew);
+    for (size_t i : silhouettes_.seen())
+        if (silhouettes_.bad(i) && after[i] < before[i])
+            for (int part = 0; part < OrbitModel::kViewParts; ++part) c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value = anew.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value;
+}
+
+std::vector<double> RingAligner::outside_of_bad(const Candidate& c) {
+    const CoherencePass pass = middle();
+    const std::vector<ContourPoint> points = silhouettes_.contour(pass.scale, pass.points, 8, 0, Silhouettes::Which::Bad);
+    const std::vector<Touch> touches = touches_of(silhouettes_, c.fit.model, points, pass);
+    std::vector<double> out(n_, 0);
+    for (size_t p = 0; p < points.size(); ++p)
+        if (!std::isnan(touches[p].residual_px)) out[static_cast<size_t>(points[p].view)] += std::clamp(touches[p].residual_px, 0.0, pass.huber_px);
+    return out;
 }
 
 void RingAligner::choose_key_views() {
@@ -255,7 +298,7 @@ void RingAligner::choose_key_views() {
     for (size_t k = 0; k < kKeyViews; ++k) silhouettes_.set_bad(seen[k * seen.size() / kKeyViews], false);
 }
 
-void RingAligner::place_others(const std::vector<Candidate*>& candidates) {
+void RingAligner::place_others(std::initializer_list<Best*> candidates) {
     std::vector<size_t> others;
     for (const size_t i : silhouettes_.seen())
         if (silhouettes_.bad(i)) others.push_back(i);
@@ -263,16 +306,18 @@ void RingAligner::place_others(const std::vector<Candidate*>& candidates) {
     const auto count_as_bad = [&](bool bad) {
         for (const size_t i : others) silhouettes_.set_bad(i, bad);
     };
-    for (Candidate* c : candidates) {
-        count_as_bad(false);
-        free_parts(c->fit.model, c->orbit);
-        count_as_bad(true);
-        for (CoherencePass pass : {coarse(), middle()}) {
-            pass.points /= 2;
-            pass.misses = c->misses;
-            place_bad(*c, pass);
+    for (Best* best : candidates)
+        for (auto& [turn, c] : *best) {
+            count_as_bad(false);
+            free_parts(c.fit.model, c.orbit);
+            count_as_bad(true);
+            for (CoherencePass pass : {coarse(), middle()}) {
+                pass.points /= 2;
+                pass.misses = c.misses;
+                place_bad(c, pass);
+            }
+            if (c.misses > 0) c.misses = robust_misses(n_);
         }
-    }
     count_as_bad(false);
 }
 
@@ -332,10 +377,10 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
             hand[up.turn] = std::move(up);
         } else {
             agreeing_ = search(Orbit::HandHeld, {all.front()}, hand);
-            if (!settled(hand, good_coarse_px()) && robust_misses() > 0) {
+            if (!settled(hand, good_coarse_px()) && robust_misses(std::min(n_, kKeyViews)) > 0) {
                 // A few silhouettes may be wrong: does it work without listening to all of them?
                 Best robust;
-                const int agree = search(Orbit::HandHeld, {all.begin(), all.begin() + std::min<long>(3, static_cast<long>(all.size()))}, robust, robust_misses());
+                const int agree = search(Orbit::HandHeld, {all.begin(), all.begin() + std::min<long>(3, static_cast<long>(all.size()))}, robust, robust_misses(std::min(n_, kKeyViews)));
                 if (settled(robust, good_coarse_px())) hand = robust, agreeing_ = agree;
             }
             if (lead(hand).misses == 0 && (!settled(hand, good_coarse_px()) || agreeing_ < 2)) agreeing_ += search(Orbit::HandHeld, {all.begin() + 1, all.end()}, hand);
@@ -349,11 +394,7 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
     std::vector<Candidate> ladder;
     const double best_coarse = std::min(table.empty() ? INFINITY : lead(table).typical_px(), hand.empty() ? INFINITY : lead(hand).typical_px());
     const auto in_the_race = [&](double rms) { return rms < 5 * best_coarse + 0.1 * coarse().scale; };
-    std::vector<Candidate*> racing;
-    for (Best* found : {&table, &hand})
-        for (auto& [turn, c] : *found)
-            if (in_the_race(c.typical_px()) || &c == &lead(*found)) racing.push_back(&c);
-    place_others(racing);
+    place_others({&table, &hand});
 
     // The rungs, each from the one below or from its own search, whichever is better.
     if (!table.empty()) {

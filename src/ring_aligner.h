@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cmath>
+#include <initializer_list>
 #include <map>
 #include <string>
 #include <vector>
@@ -28,6 +29,8 @@ struct Candidate {
 /// Aligns views that all stand in one ring.
 class RingAligner {
   public:
+    using Best = std::map<Turn, Candidate>;  ///< the best of each direction
+
     /// Throws InputError for fewer than 4 views with a silhouette.
     RingAligner(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress);
 
@@ -35,9 +38,10 @@ class RingAligner {
 
     // ------------------------------------------------------------------------------------- passes
 
-    static constexpr size_t kKeyViews = 48;  ///< so many are searched with; the others are then placed
+    /// So many are searched with: 36 find a hand-held orbit in every case of src/align.md, and time grows with their square.
+    static constexpr size_t kKeyViews = 48;
 
-    /// Contour points a view where a dozen or some views would have `points`: many views have fewer each, as each point is held against all the others.
+    /// Contour points a view: `points`, and beyond the number of key views fewer, since each point is held against all other views and all of them together need no more points.
     size_t points_of(size_t points) const;
     CoherencePass coarse() const;
     CoherencePass middle() const;
@@ -63,6 +67,8 @@ class RingAligner {
 
     OrbitModel start(Orbit orbit, Turn direction, const Start& from) const;
 
+    /// Pan and tilt that bring the origin to the middle of a view's silhouette, rad.
+    Vec2d aim_of(const OrbitModel& m, size_t i) const;
     /// Pan and tilt that bring the origin to the silhouettes' middles: of each where the camera is carried, of all together where it is fixed.
     void aim(OrbitModel& m, Orbit orbit) const;
 
@@ -90,7 +96,6 @@ class RingAligner {
 
     std::vector<Turn> turns() const;
 
-    using Best = std::map<Turn, Candidate>;
     static bool settled(const Best& best, double good_px);
     static Candidate& lead(Best& best);
 
@@ -106,10 +111,16 @@ class RingAligner {
     /// Cameras of bad silhouettes, from what of their contours is right, before the silhouettes that are not: they move alone.
     void place_bad(Candidate& c, CoherencePass pass);
 
+    /// A view's own quantities as the mean of its two neighbours', aimed at its silhouette.
+    void start_anew(Candidate& c, size_t i) const;
+
+    /// How far contours of bad silhouettes are outside of the others' hull: the sum over points, beyond a few pixels each counts alike. By view.
+    std::vector<double> outside_of_bad(const Candidate& c);
+
     /// Of many views only every so many-th takes part until `place_others` is called: the rest counts as bad.
     void choose_key_views();
-    /// All take part again, their cameras placed before those of the key views.
-    void place_others(const std::vector<Candidate*>& candidates);
+    /// Ends that: in every candidate the others' cameras are found from their own contours alone, before the key views.
+    void place_others(std::initializer_list<Best*> candidates);
 
     /// Leaves out points that fit so badly that their silhouette, not the cameras, must be wrong.
     static void trim(CoherenceFit& f);
@@ -119,7 +130,7 @@ class RingAligner {
     double held_out_px(const Candidate& c);
 
     /// So many silhouettes may be wrong and the rest still bounds the object from all sides.
-    int robust_misses() const { return n_ < 14 ? 0 : static_cast<int>(std::lround(0.08 * static_cast<double>(std::min(n_, kKeyViews)))); }
+    static int robust_misses(size_t views) { return views < 14 ? 0 : static_cast<int>(std::lround(0.08 * static_cast<double>(views))); }
 
     /// The best explanation in each direction; the rungs that were tried.
     Best run(std::vector<AlignRung>& rungs);
@@ -144,8 +155,5 @@ class RingAligner {
     double mask_noise_px_ = 0;
     int agreeing_ = 0;  ///< starts that led to the same cameras
 };
-
-/// Signed distance to a silhouette at a place of its image; `scale`: pixels a side of the field's samples.
-double distance_px(const kernel::FieldView& field, int scale, double x_px, double y_px);
 
 }  // namespace vdbcarve

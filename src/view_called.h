@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <string>
 
+#include "text.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/views.h"
 
@@ -16,7 +17,7 @@ inline size_t view_called(const Views& views, const std::string& name, const std
         const std::filesystem::path path(v.name);
         return v.name == name || path.filename() == name || path.stem() == name;
     });
-    if (found == views.views.end()) throw UsageError(option + ": no view is called " + name);
+    if (found == views.views.end()) throw UsageError(option + ": no view is called " + name + "; there are " + some_of(views.names()));
     return static_cast<size_t>(found - views.views.begin());
 }
 

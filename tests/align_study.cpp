@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How well cameras are found from silhouettes: vdbcarve_align_study [--seeds N] [CASE…] prints the tables of src/align.md.
+// How well cameras are found from silhouettes: vdbcarve_align_study [--seeds N] [--verbose] [CASE…] prints the tables of src/align.md.
 //
 // Analytic objects (seven ellipsoids and a plate), 640 x 480, unsteady cameras; every case is a change to one base case, and starts from even angles and,
 // unless it says so, an unknown focal length.
@@ -86,6 +86,8 @@ Outcome run(const Job& job) {
     const AlignResult r = align(given, views, job.options, quiet);
     out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     out.orbit = name_of(r.orbit);
+    for (const AlignedView& v : r.aligned)
+        if (v.bad || v.residual_px > 3 * r.rms_px) quiet.detail(v.name + (v.bad ? " is bad" : "") + ", residual " + std::to_string(v.residual_px) + " px");
     out.rms = r.rms_px;
     const std::vector<Camera> truth = scene.views.cameras();
     const std::vector<Camera> found = r.views.cameras();
@@ -209,13 +211,14 @@ int main(int argc, char** argv) {
     std::vector<std::string> wanted;
     for (int a = 1; a < argc; ++a) {
         if (!std::strcmp(argv[a], "--seeds") && a + 1 < argc) seeds = std::atoi(argv[++a]);
+        else if (!std::strcmp(argv[a], "--verbose")) quiet.on_detail = [](const std::string& text) { std::fprintf(stderr, "    %s\n", text.c_str()); };
         else wanted.push_back(argv[a]);
     }
     std::printf("| case (medians of %d; worst) | rung | azimuth rms deg | reprojection px | f/true | hull IoU | lost %% | residual px | right/refused/WRONG | s |\n|---|---|---|---|---|---|---|---|---|---|\n", seeds);
     for (const Case& c : cases()) {
         if (!wanted.empty() && std::none_of(wanted.begin(), wanted.end(), [&](const std::string& w) { return c.name.find(w) != std::string::npos; })) continue;
         std::vector<Outcome> all;
-        for (int s = 1; s <= seeds; ++s) {
+        for (int s = std::getenv("SEED") ? std::atoi(std::getenv("SEED")) : 1; s <= seeds; ++s) {
             Job j = base(static_cast<uint64_t>(s));
             c.change(j);
             try {

@@ -71,9 +71,12 @@ expect 2 '--orbit circle: is none of auto, turntable, fixed-camera, hand-held' a
 expect 2 '--restarts is of --method coherence or refine, not of paper' align turn --cameras none --method paper --restarts 5 -o elsewhere
 expect 2 '--mesher voxels: is none of dual, marching-cubes' reconstruct scene --mesher voxels -o elsewhere
 expect 2 'no view is called 99' align turn --cameras none --known-length 99:1,2,3,4:5 -o elsewhere
-expect 3 'is background in its mask' align turn --cameras none --known-length 3:1,2,160,120:5 -o elsewhere
-expect 0 'only focal lengths and lenses are taken' align turn --restarts 0 -o again
+expect 3 'is background in its mask' align turn --cameras none --known-length 0003:1,2,160,120:5 -o elsewhere
+expect 0 'focal lengths, principal points and lenses are taken' align turn --restarts 0 -o again
 expect 0 'method refine' align --help
+expect 0 'cameras found' align turn --cameras none --no-features --orbit turntable --restarts 0 -o plain
+check 'the configuration keeps what was switched off' grep -q 'no-features=true' plain/config.toml
+check 'and words as they were said' grep -q 'orbit="turntable"' plain/config.toml
 expect 2 'whole numbers of views' align turn --cameras none --rings 8.5,7.5 -o elsewhere
 expect 5 'UNVERIFIED' align turn --cameras none --direction ccw --fov 30 --restarts 0 -o wrong
 check 'what is not verified is shown' test -s wrong/preview.png

@@ -171,7 +171,7 @@ void add_alignment(CLI::App& app, Raw& raw) {
            raw.options.align_again = true;
        }, "how cameras are found: coherence (of silhouettes, from an orbit; default), refine (silhouettes and texture, from the camera file's), mat (markers under the object, see board), paper (Denkowski 2013, for comparison)")->type_name("WORD")->group(group);
     app.add_option("--mat", raw.mat, "the mat that the object stands on: the .json written beside the print, grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)")->group(group);
-    app.add_flag("--features,!--no-features", a.features, "use the photographs' texture too: fitted by refine, asked for the direction by coherence (default)")->group(group);
+    app.add_flag_function("--no-features", [&a](int64_t count) { a.features = count <= 0; }, "leave the photographs' texture alone (it is fitted by refine, and asked for the direction by coherence)")->group(group);
     app.add_option("--paper-views", raw.paper_views, "A,B: names of the views of the front and of a quarter turn on, for --method paper")->group(group);
     add_choice<Orbit>(app, "--orbit", a.orbit, {{"auto", Orbit::Auto}, {"turntable", Orbit::Turntable}, {"fixed-camera", Orbit::FixedCamera}, {"hand-held", Orbit::HandHeld}}, "who moves: turntable (by known steps), fixed-camera (steps uneven), hand-held; auto: the simplest that explains what it was not fitted to")->group(group);
     app.add_option("--angles", raw.angles, "degrees the object has turned at each view: equal (default), a list like 0,20,40 or a file with as many numbers as views")->group(group);
@@ -276,7 +276,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,glb,stl")->delimiter(',')->capture_default_str()->group("Result");
     }
     app->add_option("--up", o.views.up, "world up axis: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group("Result");
-    app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, inch …")->group("Result");
+    app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, km, inch, ft")->group("Result");
     app->add_flag("--force", o.force, "write into a folder that vdbcarve did not make");
     app->add_flag("--resume", raw->resume, "go on where a run stopped (always so: finished stages are never redone)");
     return {app, [raw, app, &program](Common& common, Progress& progress) {
@@ -332,7 +332,7 @@ Command add_align(CLI::App& program) {
                "  vdbcarve align photos --cameras colmap --method refine -o aligned        cameras that are nearly right, made better\n"
                "  vdbcarve board -o mat.pdf; vdbcarve align photos --method mat --mat mat.pdf.json -o aligned\n"
                "  vdbcarve reconstruct photos --cameras aligned/cameras.json -o out        goes on from there\n"
-               "Of cameras that the scene has already, refine takes everything, mat the lens where it is known, the others the focal length and lens only.");
+               "Of cameras that the scene has already, refine takes everything, mat the lens where it is known, the others focal lengths, principal points and lenses only.");
 }
 Command add_mask(CLI::App& program) { return add(program, "mask", "only the masks, into OUT/masks", LastStage::Mask, "Example: vdbcarve mask dino --mask threshold --threshold 25 -o masks"); }
 Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve, "Example: vdbcarve carve shoot --resolution 512 -o hull"); }
