@@ -605,7 +605,7 @@ class Alignment {
         const double allowed_px = std::max({0.3, silhouettes_.size_px() / 300, 1.5 * out_.mask_noise_px});
         // Cameras for which next to nothing was in the others' frames would fit anything.
         if (!(out_.rms_px <= allowed_px) || out_.touches_world.empty())
-            out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may. %s", out_.rms_px, allowed_px, why_not().c_str()));
+            out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may; farthest those of %s. %s", out_.rms_px, allowed_px, some_of(worst_views()).c_str(), why_not().c_str()));
         std::vector<std::string> bad;
         for (size_t i : silhouettes_.seen())
             if (silhouettes_.bad(i)) bad.push_back(given_.views[i].name);
@@ -625,8 +625,18 @@ class Alignment {
         const double ln_focal = c_.fit.model.global(OrbitModel::LnFocal).value;
         if (std::fabs(ln_focal) > kMostLnFocal && o_.method != AlignMethod::Paper)
             out_.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out_.focal_px, out_.focal_start_px));
+        else if (aligner_.focal_known() && std::fabs(ln_focal) > 0.2 && o_.method != AlignMethod::Paper)
+            out_.warnings.push_back(text_of("the focal length given, %.0f px, is not what the silhouettes say: %.0f px is taken. Remedy: check --fov, or the camera file or EXIF that says it", out_.focal_start_px, out_.focal_px));
         else if (out_.focal_spread > 0.05)
             out_.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out_.focal_spread));
+    }
+
+    std::vector<std::string> worst_views() const {
+        std::vector<size_t> order = silhouettes_.seen();
+        std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return out_.aligned[a].residual_px > out_.aligned[b].residual_px; });
+        std::vector<std::string> out;
+        for (size_t k = 0; k < std::min<size_t>(3, order.size()); ++k) out.push_back(given_.views[order[k]].name);
+        return out;
     }
 
     /// What may be the matter where silhouettes do not fit together.
@@ -634,6 +644,7 @@ class Alignment {
         if (o_.method == AlignMethod::Paper) return "The paper's method rarely does better on an unsteady camera. Remedy: --method coherence";
         if (o_.method == AlignMethod::Refine) return "The cameras given are too far from the truth, or masks and cameras do not belong together. Remedy: --cameras none --method coherence, where the views go around the object";
         std::string out = "Remedy: is it one of these? Not one turn of the object at even steps (--angles, --arc), masks of different objects, or an orbit too far from what was assumed (--orbit, --fov)";
+        if (o_.principal_point_px) out += text_of(", or --principal-point %g,%g", o_.principal_point_px->x(), o_.principal_point_px->y());
         if (o_.direction != Turn::Auto) out += text_of(", or it turned the other way than --direction %s says", name_of(o_.direction));
         return out;
     }
@@ -682,7 +693,7 @@ class Alignment {
 }  // namespace
 
 AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) {
-    check_align_options(options, views.views.size(), masks.size());
+    check_align_options(options, views, masks.size());
     if (options.known_length) check_known_length(views, masks, *options.known_length);
     if (options.method == AlignMethod::Mat) return align_to_mat(views, options, progress);
     AlignResult out = Alignment(views, masks, options, progress).run();

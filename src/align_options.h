@@ -7,6 +7,6 @@
 namespace vdbcarve {
 
 /// Throws UsageError naming every option that is out of range, contradicts another, or that the method does not heed.
-void check_align_options(const AlignOptions& o, size_t views, size_t masks);
+void check_align_options(const AlignOptions& o, const Views& scene, size_t masks);
 
 }  // namespace vdbcarve

@@ -96,8 +96,8 @@ void check_mat(const MatLayout& mat) {
     };
     need(mat.columns >= 2 && mat.rows >= 2 && mat.columns <= 100 && mat.rows <= 100, "mat: " + std::to_string(mat.columns) + "x" + std::to_string(mat.rows) + ", must be 2x2 to 100x100");
     need(mat.kind == MatLayout::Kind::Grid || mat.rows % 2 == 1, "mat: a chessboard of " + std::to_string(mat.rows) + " rows; the number must be odd, as even ones are drawn differently by different versions of OpenCV");
-    need(mat.marker_m > 0 && mat.step_m > mat.marker_m, mat.kind == MatLayout::Kind::Grid ? "mat: markers need a gap between them" : "mat: a marker must be smaller than its square");
-    need(mat.marker_m <= 1 && mat.width_m() <= 10 && mat.height_m() <= 10, text_of("mat: markers of %g m, %g x %g m in all: lengths are in metres, 35 mm are 0.035", mat.marker_m, mat.width_m(), mat.height_m()));
+    need(mat.marker_m > 0 && mat.step_m > mat.marker_m, mat.kind == MatLayout::Kind::Grid ? "mat: markers need a gap between them" : text_of("mat: a marker of %g m must be smaller than its square of %g m (SQUARE:MARKER)", mat.marker_m, mat.step_m));
+    need(mat.marker_m <= 1 && mat.width_m() <= 10 && mat.height_m() <= 10, text_of("mat: markers of %g m, %g x %g m in all: lengths are in metres, %g mm are %g", mat.marker_m, mat.width_m(), mat.height_m(), mat.marker_m, mat.marker_m / 1000));
     const int known = dictionary_size(mat.dictionary);
     const int used = mat.kind == MatLayout::Kind::Grid ? mat.columns * mat.rows : mat.columns * mat.rows / 2;
     need(known == 0 || used <= known, "mat: " + std::to_string(used) + " markers, the dictionary " + mat.dictionary + " has " + std::to_string(known));
@@ -129,7 +129,7 @@ MatLayout read_mat(const std::string& text) {
     std::istringstream in(text);
     for (std::string word; std::getline(in, word, ':');) words.push_back(word);
     if ((words.size() != 4 && words.size() != 5) || (words[0] != "grid" && words[0] != "charuco"))
-        throw UsageError("--mat " + text + ": neither a file nor grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)");
+        throw UsageError("--mat " + text + (text.find(':') == std::string::npos ? ": there is no such file, and it is" : ": is") + " neither a file nor grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)");
     out.kind = words[0] == "grid" ? MatLayout::Kind::Grid : MatLayout::Kind::Charuco;
     char cross = 0, rest = 0;
     std::istringstream size(words[1]);

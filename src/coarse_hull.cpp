@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "coarse_hull.h"
 
+#include <cmath>
+
 #include "vdbcarve/carve.h"
 #include "vdbcarve/distance.h"
+#include "vdbcarve/error.h"
 #include "vdbcarve/level_set.h"
 
 namespace vdbcarve {
@@ -23,13 +26,19 @@ openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const
     o.max_misses = max_misses;
     o.bounds_world = automatic_bounds(inputs, used, 0, o, progress);
     o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / resolution;
+    // Cameras that ran away have no scale left to make voxels of.
+    if (!(o.lattice.voxel_size > 1e-12) || !std::isfinite(o.lattice.voxel_size)) throw ContradictionError("the cameras leave no room for an object");
     const FieldPlan plan = plan_fields(used_cameras, o);
     DistanceOptions d;
     d.scale = plan.scale;
     d.reach_samples = plan.reach_samples;
     const std::vector<DistanceField> fields = distance_fields(used, d, progress);
     for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
-    return level_set(carve(inputs, o, progress).hull, {}, progress);
+    try {
+        return level_set(carve(inputs, o, progress).hull, {}, progress);
+    } catch (const openvdb::Exception& e) {  // of cameras so far off that floats do not hold them
+        throw ContradictionError(std::string("the cameras leave no hull: ") + e.what());
+    }
 }
 
 }  // namespace vdbcarve

@@ -226,7 +226,10 @@ class Job {
             if (const std::vector<std::string> given = given_options(o_.align); !given.empty())
                 throw UsageError(some_of(given) + ": the cameras of " + views_.camera_file.string() + " are used as they are, so this would be ignored. Remedy: --method refine to improve them, --cameras none to find others, or without it, also in config.toml");
         } else if (o_.last_stage != LastStage::Mask) {
-            check_align_options(o_.align, views_.views.size(), views_.views.size());
+            check_align_options(o_.align, views_, views_.views.size());
+            const bool by_silhouettes = o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper, scaled = o_.align.known_distance > 0 || o_.align.known_height > 0 || o_.align.known_length;
+            if (by_silhouettes && !scaled && !o_.views.units.empty())
+                throw UsageError("--units " + o_.views.units + ": cameras found from silhouettes know no scale, so their unit is arbitrary. Remedy: --known-height, --known-distance or --known-length, or a marker mat (--method mat)");
             if (o_.align.known_length) check_known_length(views_, {}, *o_.align.known_length);
         }
         if (views_.posed && o_.align_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
@@ -514,6 +517,7 @@ class Job {
             take_cameras(other, other_cameras);
             const std::string turned = report_["align"]["direction"].get<std::string>(), opposite = turned == "cw" ? "ccw" : "cw";
             sheet(other, o_.output / ("preview_direction_" + opposite + ".png"));
+            if (!fs::exists(o_.output / "preview.png") || !fs::exists(o_.output / ("preview_direction_" + opposite + ".png"))) return;  // said above
             place_copy(o_.output / "preview.png", o_.output / ("preview_direction_" + turned + ".png"));
             progress_.note("both ways are shown: preview_direction_cw.png is --direction cw, preview_direction_ccw.png is --direction ccw; the wrong one is a mirror image");
         }

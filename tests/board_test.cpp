@@ -31,7 +31,7 @@ TEST(Board, LayoutsAreReadAndMistakesNamed) {
     EXPECT_DOUBLE_EQ(charuco.marker_m, 0.022);
     EXPECT_DOUBLE_EQ(charuco.height_m(), 0.27);
     for (const auto& [text, part] : {std::pair{"grid:5x7:0.035", "neither a file"}, {"grid:5by7:0.03:0.01", "'5by7'"}, {"grid:5x7:3cm:0.01", "'3cm'"}, {"charuco:7x8:0.03:0.02", "odd"},
-                                     {"charuco:7x9:0.02:0.03", "smaller than its square"}, {"grid:20x20:0.02:0.01:4X4_50", "400 markers"}, {"grid:2x2:0.02:0.01:8X8_50", "8X8_50"}, {"grid:5x7:35:5:6X6_250", "35 mm are 0.035"}, {"charuco:7x9:2.5:0.018", "metres"}})
+                                     {"charuco:7x9:0.02:0.03", "smaller than its square of 0.02 m"}, {"grid:20x20:0.02:0.01:4X4_50", "400 markers"}, {"grid:2x2:0.02:0.01:8X8_50", "8X8_50"}, {"grid:5x7:35:5:6X6_250", "35 mm are 0.035"}, {"charuco:7x9:2.5:0.018", "metres"}})
         EXPECT_NE(error_of(ExitCode::Usage, [&, t = text] { read_mat(t); }).find(part), std::string::npos) << text;
 }
 

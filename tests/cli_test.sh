@@ -77,6 +77,11 @@ expect 0 'method refine' align --help
 expect 0 'cameras found' align turn --cameras none --no-features --orbit turntable --restarts 0 -o plain
 check 'the configuration keeps what was switched off' grep -q 'no-features=true' plain/config.toml
 check 'and words as they were said' grep -q 'orbit="turntable"' plain/config.toml
+expect 2 '--units mm: cameras found from silhouettes know no scale.*Remedy: --known-height' reconstruct turn --cameras none --units mm -o elsewhere
+expect 2 '--principal-point 9999,120: far outside' align turn --cameras none --principal-point 9999,120 -o elsewhere
+expect 2 'no number above 0' align turn --cameras none --known-height -5 -o elsewhere
+expect 0 'warning the focal length given, .* is not what the silhouettes say' align turn --cameras none --fov 100 -o fov
+expect 5 'it turned the other way than --direction ccw says' align turn --cameras none --direction ccw --restarts 0 --known-height 12 --units mm -o wrong_height
 expect 2 'whole numbers of views' align turn --cameras none --rings 8.5,7.5 -o elsewhere
 expect 5 'UNVERIFIED' align turn --cameras none --direction ccw --fov 30 --restarts 0 -o wrong
 check 'what is not verified is shown' test -s wrong/preview.png

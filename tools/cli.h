@@ -3,6 +3,7 @@
 #pragma once
 
 #include <CLI/CLI.hpp>
+#include <cmath>
 
 #include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
@@ -51,6 +52,16 @@ void add_dcc_option(CLI::App& command, Dcc& dcc);
 
 /// "a,b,c" as numbers. Throws UsageError naming the option.
 std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');
+
+/// For options that are lengths. (CLI11's own names the largest number there is.)
+inline CLI::Validator above_zero() {
+    return CLI::Validator(
+        [](std::string& text) {
+            double value = 0;
+            return CLI::detail::lexical_cast(text, value) && value > 0 && std::isfinite(value) ? std::string() : text + " is no number above 0";
+        },
+        "> 0");
+}
 
 /// One of a few words, in whatever case. Throws UsageError naming all of them.
 template <class T>

@@ -77,7 +77,7 @@ void read_alignment(Raw& raw) {
     if (!raw.known_length.empty()) {
         const std::string& text = raw.known_length;
         const size_t last = text.rfind(':'), first = last == std::string::npos || last == 0 ? std::string::npos : text.rfind(':', last - 1);
-        if (first == std::string::npos || first == 0) throw UsageError("--known-length " + text + ": like 01:100,200,300,200:50 is expected");
+        if (first == std::string::npos || first == 0) throw UsageError("--known-length " + text + ": VIEW:X1,Y1,X2,Y2:LENGTH is expected, like 01:100,200,300,200:50");
         const auto p = numbers("--known-length", text.substr(first + 1, last - first - 1), 4);
         a.known_length = KnownLength{text.substr(0, first), {p[0], p[1]}, {p[2], p[3]}, numbers("--known-length", text.substr(last + 1), 1)[0]};
     }
@@ -186,12 +186,12 @@ void add_alignment(CLI::App& app, Raw& raw) {
                    "                  [cam]               [cam]")->group(group);
     app.add_option("--rings", raw.rings, "views in each ring around the object, in the order of their names, like 24,24")->group(group);
     app.add_option("--sittings", raw.sittings, "views of each sitting (the object laid on another side), likewise")->group(group);
-    app.add_option("--fov", a.fov_deg, "horizontal field of view, degrees (default: what the photographs say, else found)")->check(CLI::Range(1.0, 169.0))->group(group);
+    app.add_option("--fov", a.fov_deg, "horizontal field of view, degrees, to start from (default: what cameras or photographs say, else found); where silhouettes say another, that is taken and said")->check(CLI::Range(1.0, 169.0))->group(group);
     app.add_option("--principal-point", raw.principal_point, "x,y in pixels, where it is known (default: found near the middle)")->group(group);
     app.add_flag("--focal-varies", a.focal_varies, "every view has its own focal length, a little different (autofocus)")->group(group);
     app.add_flag("--centre-varies", a.centre_varies, "every view has its own principal point (a stabiliser's crop)")->group(group);
-    app.add_option("--known-height", a.known_height, "of the object along the axis, in --units: gives the scale")->check(CLI::PositiveNumber)->group(group);
-    app.add_option("--known-distance", a.known_distance, "of the cameras from the object's middle, in --units: gives the scale")->check(CLI::PositiveNumber)->group(group);
+    app.add_option("--known-height", a.known_height, "of the object along the axis, in --units: gives the scale")->check(above_zero())->group(group);
+    app.add_option("--known-distance", a.known_distance, "of the cameras from the object's middle, in --units: gives the scale")->check(above_zero())->group(group);
     app.add_option("--known-length", raw.known_length, "VIEW:X1,Y1,X2,Y2:LENGTH: two pixels of a view and how far apart, in --units, the places are that they show: gives the scale")->group(group);
     app.add_option("--restarts", a.restarts, "times to start again from disturbed angles, to see what is left open")->capture_default_str()->check(CLI::Range(0, 20))->group(group);
     app.add_flag("--accept-unobservable", raw.options.accept_unobservable, "go on with cameras that the silhouettes do not determine")->group(group);
