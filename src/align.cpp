@@ -343,17 +343,21 @@ class Alignment {
             for (size_t i : bad) silhouettes_.set_bad(i, true);
             c_.misses = 0;
             aligner_.settle(c_);
-            // One that is wrong draws touches away from where they belong, and its neighbours seem wrong too: each is asked alone, now that cameras are better. Who fits was named for nothing.
+            // One that is wrong draws touches away from where they belong, and its neighbours seem wrong too: each is asked alone, now that cameras are better. Who fits was named for nothing,
+            // and with it back in its place the next may fit.
             std::map<size_t, double> dissent;
-            const std::vector<size_t> named = bad;
-            for (size_t i : named) {
-                silhouettes_.set_bad(i, false);
-                const AlignedView alone = judged()[i];
-                silhouettes_.set_bad(i, true);
-                if (alone.residual_px < 1 && alone.dissent < 0.004) std::erase(bad, i);
-                else dissent[i] = alone.dissent;
-            }
-            if (bad.size() < named.size()) {
+            for (size_t before = bad.size() + 1; !bad.empty() && bad.size() < before;) {
+                before = bad.size();
+                const std::vector<size_t> named = bad;
+                dissent.clear();
+                for (size_t i : named) {
+                    silhouettes_.set_bad(i, false);
+                    const AlignedView alone = judged()[i];
+                    silhouettes_.set_bad(i, true);
+                    if (alone.residual_px < 1 && alone.dissent < 0.004) std::erase(bad, i);
+                    else dissent[i] = alone.dissent;
+                }
+                if (bad.size() == before) break;
                 for (size_t i : named) silhouettes_.set_bad(i, std::find(bad.begin(), bad.end(), i) != bad.end());
                 aligner_.settle(c_);
             }

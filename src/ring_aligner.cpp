@@ -269,15 +269,20 @@ void RingAligner::settle(Candidate& c) {
     fit(c, pass, 6);
     polish(c);
     place_bad(c, middle());
-    // They may have been led astray before they were known to be bad: from their neighbours' places, each has a second chance.
+    // They may have been led astray before they were known to be bad: from its neighbours' places, each has a second chance. (Where a neighbour is missing too the hull bulges, and bears
+    // many places.)
     Candidate anew = c;
-    for (size_t i : silhouettes_.seen())
-        if (silhouettes_.bad(i)) start_anew(anew, i);
+    const std::vector<size_t>& seen = silhouettes_.seen();
+    std::vector<size_t> alone;
+    for (size_t k = 0; k < seen.size(); ++k)
+        if (silhouettes_.bad(seen[k]) && !silhouettes_.bad(seen[(k + 1) % seen.size()]) && !silhouettes_.bad(seen[(k + seen.size() - 1) % seen.size()])) alone.push_back(seen[k]);
+    if (alone.empty()) return;
+    for (size_t i : alone) start_anew(anew, i);
     place_bad(anew, coarse());
     place_bad(anew, middle());
     const std::vector<double> before = outside_of_bad(c), after = outside_of_bad(anew);
-    for (size_t i : silhouettes_.seen())
-        if (silhouettes_.bad(i) && after[i] < before[i])
+    for (size_t i : alone)
+        if (after[i] < before[i])
             for (int part = 0; part < OrbitModel::kViewParts; ++part) c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value = anew.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value;
 }
 
