@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How well cameras are found from silhouettes: vdbcarve_align_study [--seeds N] [--verbose] [CASE…] prints the tables of src/align.md.
+// How well cameras are found from silhouettes: vdbcarve_align_study [--from N] [--seeds N] [--verbose] [CASE…] prints the tables of src/align.md.
 //
 // Analytic objects (seven ellipsoids and a plate), 640 x 480, unsteady cameras; every case is a change to one base case, and starts from even angles and,
 // unless it says so, an unknown focal length.
@@ -207,10 +207,11 @@ std::vector<Case> cases() {
 
 int main(int argc, char** argv) {
     using namespace vdbcarve;
-    int seeds = 5;
+    int first = 1, seeds = 5;
     std::vector<std::string> wanted;
     for (int a = 1; a < argc; ++a) {
         if (!std::strcmp(argv[a], "--seeds") && a + 1 < argc) seeds = std::atoi(argv[++a]);
+        else if (!std::strcmp(argv[a], "--from") && a + 1 < argc) first = std::atoi(argv[++a]);
         else if (!std::strcmp(argv[a], "--verbose")) quiet.on_detail = [](const std::string& text) { std::fprintf(stderr, "    %s\n", text.c_str()); };
         else wanted.push_back(argv[a]);
     }
@@ -218,7 +219,7 @@ int main(int argc, char** argv) {
     for (const Case& c : cases()) {
         if (!wanted.empty() && std::none_of(wanted.begin(), wanted.end(), [&](const std::string& w) { return c.name.find(w) != std::string::npos; })) continue;
         std::vector<Outcome> all;
-        for (int s = std::getenv("SEED") ? std::atoi(std::getenv("SEED")) : 1; s <= seeds; ++s) {
+        for (int s = first; s <= seeds; ++s) {
             Job j = base(static_cast<uint64_t>(s));
             c.change(j);
             try {
