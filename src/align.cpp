@@ -239,10 +239,14 @@ class Alignment {
         } else {
             best_ = aligner_.run(out_.rungs);
         }
-        Turn turn = RingAligner::lead(best_).turn;
-        if (o_.method == AlignMethod::Coherence && o_.features && mirrored_alike(RingAligner::lead(best_))) turn = direction_by_features(turn);
+        // Of several rings the other direction was tried with the first one only: it is there for its residual, not to be chosen.
+        Turn turn = sitting_of_.empty() ? RingAligner::lead(best_).turn : std::find_if(best_.begin(), best_.end(), [&](const auto& b) { return whole(b.second); })->first;
+        if (o_.method == AlignMethod::Coherence && o_.features && mirrored_alike(best_[turn])) turn = direction_by_features(turn);
         c_ = best_[turn];
     }
+
+    /// Has cameras for all views.
+    bool whole(const Candidate& c) const { return c.fit.model.views() == given_.views.size(); }
 
     /// The other direction explains the silhouettes nearly as well.
     bool mirrored_alike(const Candidate& c) const {
@@ -257,7 +261,9 @@ class Alignment {
         for (size_t k = 0; k + 1 < seen.size(); ++k) neighbours.emplace_back(seen[k], seen[k + 1]);
         const std::vector<FeatureTrack> tracks = find_tracks(given_, masks_, neighbours, progress_);
         std::map<Turn, NearSide> votes;
-        for (const auto& [turn, c] : best_) votes[turn] = near_side(c.fit, tracks);
+        for (const auto& [turn, c] : best_)
+            if (whole(c)) votes[turn] = near_side(c.fit, tracks);
+        if (votes.size() < best_.size()) return lead;
         for (const auto& [turn, v] : votes) aligner_.trace("%s: %zu features of %zu fit, %.0f %% of them on the near side", name_of(turn), v.matches, tracks.size(), 100 * v.share);
         const auto votes_for = [](const NearSide& v) { return static_cast<double>(v.matches) * v.share; };
         for (const auto& [turn, v] : votes) {
@@ -556,8 +562,9 @@ class Alignment {
         out_.direction = c_.turn;
         double sum = 0, coherent = 0;
         size_t good = 0;
+        const bool all_bad = std::all_of(silhouettes_.seen().begin(), silhouettes_.seen().end(), [&](size_t i) { return silhouettes_.bad(i); });
         for (size_t i : silhouettes_.seen())
-            if (!silhouettes_.bad(i)) sum += square(out_.aligned[i].residual_px), coherent += out_.aligned[i].coherent, ++good;
+            if (all_bad || !silhouettes_.bad(i)) sum += square(out_.aligned[i].residual_px), coherent += out_.aligned[i].coherent, ++good;
         out_.rms_px = std::sqrt(sum / static_cast<double>(good));
         out_.coherent = coherent / static_cast<double>(good);
         out_.focal_px = m.focal_px(first);
@@ -675,7 +682,7 @@ class Alignment {
                                         out_.other_direction_px));
         const OrbitModel& m = c_.fit.model;
         for (const auto& [turn, other] : best_)
-            if (turn != c_.turn && other.fit.model.views() == given_.views.size())
+            if (turn != c_.turn && whole(other))
                 for (size_t i = 0; i < given_.views.size(); ++i) out_.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
     }
 

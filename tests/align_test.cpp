@@ -509,6 +509,18 @@ TEST(Align, ATwofoldSymmetryIsSeen) {
     EXPECT_EQ(lump.result.symmetry, 1);
 }
 
+// One ring said to be two, before a camera that is said to stand: refused, with cameras for every view.
+TEST(Align, RingsThatAreNoneAreRefused) {
+    AlignOptions options;
+    options.orbit = Orbit::Turntable;
+    options.rings = {10, 10};
+    options.restarts = 0;
+    const Found f = find(small_orbit(1, 20), options);
+    EXPECT_FALSE(f.result.failures.empty());
+    EXPECT_EQ(f.result.aligned.size(), 20u);
+    EXPECT_TRUE(std::isfinite(f.result.rms_px));
+}
+
 // A stabiliser's crop wanders before a table that turns evenly: given its own principal point, every view finds it; without, the table is not believed.
 TEST(Align, ACropThatDriftsIsFollowed) {
     SyntheticSpec spec = small_orbit(3, 18);
