@@ -332,6 +332,7 @@ class Alignment {
     void name_bad() {
         out_.aligned = judged();
         std::vector<size_t> bad = judge_.contradicting(out_.aligned, {}, c_.misses > 0);
+        const auto fits = [](const AlignedView& v) { return v.residual_px < 1 && v.dissent < 0.004; };
         for (int round = 0; round < 6 && !bad.empty(); ++round) {
             for (size_t i : bad) silhouettes_.set_bad(i, true);
             aligner_.settle(c_);
@@ -339,7 +340,7 @@ class Alignment {
             for (size_t i : silhouettes_.seen()) silhouettes_.set_bad(i, false);
             out_.aligned = judged();
             // What contradicts the rest without having taken part stays out.
-            std::erase_if(bad, [&](size_t i) { return out_.aligned[i].residual_px < 1 && out_.aligned[i].dissent < 0.004; });
+            std::erase_if(bad, [&](size_t i) { return fits(out_.aligned[i]); });
             const std::vector<size_t> now = judge_.contradicting(out_.aligned, bad, c_.misses > 0);
             const bool settled = now == bad;
             bad = now;
@@ -352,18 +353,17 @@ class Alignment {
             // One that is wrong draws touches away from where they belong, and its neighbours seem wrong too: each is asked alone, now that cameras are better. Who fits was named for nothing,
             // and with it back in its place the next may fit.
             std::map<size_t, double> dissent;
-            for (size_t before = bad.size() + 1; !bad.empty() && bad.size() < before;) {
-                before = bad.size();
+            while (!bad.empty()) {
                 const std::vector<size_t> named = bad;
                 dissent.clear();
                 for (size_t i : named) {
                     silhouettes_.set_bad(i, false);
                     const AlignedView alone = judged()[i];
                     silhouettes_.set_bad(i, true);
-                    if (alone.residual_px < 1 && alone.dissent < 0.004) std::erase(bad, i);
+                    if (fits(alone)) std::erase(bad, i);
                     else dissent[i] = alone.dissent;
                 }
-                if (bad.size() == before) break;
+                if (bad.size() == named.size()) break;
                 for (size_t i : named) silhouettes_.set_bad(i, std::find(bad.begin(), bad.end(), i) != bad.end());
                 aligner_.settle(c_);
             }
@@ -377,14 +377,13 @@ class Alignment {
 
     /// A few views may have found a place of their own that the others cannot talk them out of: the rest settles without them, and they start anew from where their neighbours are.
     void move_strays() {
+        std::vector<size_t> strays = silhouettes_.good();
+        const size_t views = strays.size();
         std::vector<double> own;
-        for (size_t i : silhouettes_.seen())
-            if (!silhouettes_.bad(i)) own.push_back(out_.aligned[i].residual_px);
+        for (size_t i : strays) own.push_back(out_.aligned[i].residual_px);
         const double limit_px = std::max(0.1, 4 * median(own));
-        std::vector<size_t> strays;
-        for (size_t i : silhouettes_.seen())
-            if (!silhouettes_.bad(i) && out_.aligned[i].residual_px > limit_px) strays.push_back(i);
-        if (strays.empty() || 6 * strays.size() > own.size()) return;
+        std::erase_if(strays, [&](size_t i) { return !(out_.aligned[i].residual_px > limit_px); });
+        if (strays.empty() || 6 * strays.size() > views) return;
         Candidate anew = c_;
         for (size_t i : strays) silhouettes_.set_bad(i, true);
         aligner_.settle(anew);
@@ -440,9 +439,7 @@ class Alignment {
 
     /// The same result from disturbed angles?
     void disturb() {
-        std::vector<size_t> seen;  // bad ones constrain nobody: where they stand says nothing
-        for (size_t i : silhouettes_.seen())
-            if (!silhouettes_.bad(i)) seen.push_back(i);
+        const std::vector<size_t> seen = silhouettes_.good();  // bad ones constrain nobody: where they stand says nothing
         std::mt19937_64 random(o_.seed);
         std::normal_distribution<double> normal;
         CoherencePass quick = aligner_.middle();
@@ -516,14 +513,14 @@ class Alignment {
         if (!out_.angles_observable || o_.method != AlignMethod::Coherence) return;
         // A sixth of the views, turned on and then aimed anew (the axis need not be the object's), before the silhouettes of all the others: do they fit there as well? They may not go
         // away: what is far enough fits anywhere.
-        std::vector<size_t> good, tried;
-        for (size_t i : silhouettes_.seen())
-            if (!silhouettes_.bad(i)) good.push_back(i);
+        const std::vector<size_t> good = silhouettes_.good();
+        std::vector<size_t> tried;
         const size_t count = std::min<size_t>(12, (good.size() + 5) / 6);
         for (size_t k = 0; k < count; ++k) tried.push_back(good[k * good.size() / count]);
         const CoherencePass pass = aligner_.middle();
+        const Candidate home = aligner_.climbed(c_, Orbit::HandHeld);
         const auto outside = [&](double turn_rad) {
-            Candidate moved = aligner_.climbed(c_, Orbit::HandHeld);
+            Candidate moved = home;
             for (size_t i : tried) {
                 silhouettes_.set_bad(i, true);
                 OrbitModel& m = moved.fit.model;
@@ -561,12 +558,12 @@ class Alignment {
         out_.orbit = c_.orbit;
         out_.direction = c_.turn;
         double sum = 0, coherent = 0;
-        size_t good = 0;
-        const bool all_bad = std::all_of(silhouettes_.seen().begin(), silhouettes_.seen().end(), [&](size_t i) { return silhouettes_.bad(i); });
-        for (size_t i : silhouettes_.seen())
-            if (all_bad || !silhouettes_.bad(i)) sum += square(out_.aligned[i].residual_px), coherent += out_.aligned[i].coherent, ++good;
-        out_.rms_px = std::sqrt(sum / static_cast<double>(good));
-        out_.coherent = coherent / static_cast<double>(good);
+        std::vector<size_t> judged_by = silhouettes_.good();
+        if (judged_by.empty()) judged_by = silhouettes_.seen();
+        for (size_t i : judged_by) sum += square(out_.aligned[i].residual_px), coherent += out_.aligned[i].coherent;
+        const auto good = static_cast<double>(judged_by.size());
+        out_.rms_px = std::sqrt(sum / good);
+        out_.coherent = coherent / good;
         out_.focal_px = m.focal_px(first);
         // Of the camera above the object's middle; the model's own counts from the axis at any height.
         const Outline outline = outline_of(c_.fit);

@@ -9,6 +9,7 @@
 #include <numbers>
 
 #include "coarse_hull.h"
+#include "orbit_model.h"
 #include "statistics.h"
 #include "text.h"
 #include "vdbcarve/mesh.h"
@@ -58,16 +59,15 @@ void check_cameras(const Views& views, CheckResult& out) {
         return;
     }
     out.up_world = up.normalized();
-    std::vector<double> azimuths;
+    std::vector<double> azimuths = azimuths_rad(cameras, *target, out.up_world);
+    for (double& a : azimuths) a *= kDegrees;
     out.elevation_min_deg = 90;
     out.elevation_max_deg = -90;
-    const Vec3d across = out.up_world.unitOrthogonal(), along = out.up_world.cross(across);
     for (const Camera& c : cameras) {
         const Vec3d from = (c.centre_world() - *target).normalized();
         const double elevation = std::asin(std::clamp(from.dot(out.up_world), -1.0, 1.0)) * kDegrees;
         out.elevation_min_deg = std::min(out.elevation_min_deg, elevation);
         out.elevation_max_deg = std::max(out.elevation_max_deg, elevation);
-        azimuths.push_back(std::atan2(from.dot(along), from.dot(across)) * kDegrees);
     }
     std::sort(azimuths.begin(), azimuths.end());
     out.largest_gap_deg = azimuths.front() + 360 - azimuths.back();

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <numbers>
 #include <random>
@@ -381,6 +382,12 @@ Silhouettes::Silhouettes(const std::vector<MaskView>& masks) : masks_(masks), ex
         find_open_sides(masks[i], views_[i]);
     }
     size_px_ = median(sizes);
+}
+
+std::vector<size_t> Silhouettes::good() const {
+    std::vector<size_t> out;
+    std::copy_if(seen_.begin(), seen_.end(), std::back_inserter(out), [&](size_t i) { return !bad_[i]; });
+    return out;
 }
 
 const std::vector<DistanceField>& Silhouettes::fields(int scale) {

@@ -75,6 +75,7 @@ class Silhouettes {
     /// A bad silhouette constrains nobody.
     void set_bad(size_t i, bool bad) { bad_[i] = bad; }
     bool bad(size_t i) const { return bad_[i]; }
+    std::vector<size_t> good() const;  ///< views with a silhouette that is not bad
 
     /// The views as the search wants them.
     const std::vector<CoherenceView>& at_scale(int scale);

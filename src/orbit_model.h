@@ -94,6 +94,11 @@ class OrbitModel {
     const Parameter& of(size_t i, ViewPart which) const { return const_cast<OrbitModel*>(this)->of(i, which); }
     const Parameter& harmonic(int which) const { return const_cast<OrbitModel*>(this)->harmonic(which); }
 
+    /// A view's own quantities as another model of the same views has them.
+    void take_view(size_t i, const OrbitModel& from) {
+        for (int part = 0; part < kViewParts; ++part) of(i, static_cast<ViewPart>(part)).value = from.of(i, static_cast<ViewPart>(part)).value;
+    }
+
     /// How a ring's own world lies in the scene.
     Rigid3 scene_from_ring(size_t r) const;
     double azimuth(size_t i) const;  ///< rad, all parts together

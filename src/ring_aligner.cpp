@@ -10,13 +10,12 @@
 namespace vdbcarve {
 
 RingAligner::RingAligner(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) : given_(views), o_(options), progress_(progress), silhouettes_(masks), n_(masks.size()) {
-    if (silhouettes_.seen().size() < 4) throw InputError("align: " + std::to_string(silhouettes_.seen().size()) + " views with a silhouette; at least 4 are needed, a dozen make sense. Remedy: more photographs");
+    if (silhouettes_.seen().size() < 4) throw InputError("align: " + counted(silhouettes_.seen().size(), "view") + " with a silhouette; at least 4 are needed, a dozen make sense. Remedy: more photographs");
     mask_noise_px_ = find_mask_noise_px();
 }
 
 size_t RingAligner::points_of(size_t points) const {
-    const std::vector<size_t>& seen = silhouettes_.seen();
-    const auto asked = static_cast<size_t>(std::count_if(seen.begin(), seen.end(), [&](size_t i) { return !silhouettes_.bad(i); }));
+    const size_t asked = silhouettes_.good().size();
     return asked <= kKeyViews ? points : std::max(std::min<size_t>(10, points), points * kKeyViews / asked);
 }
 
@@ -85,9 +84,8 @@ void RingAligner::aim(OrbitModel& m, Orbit orbit) const {
 
 void RingAligner::start_anew(Candidate& c, size_t i) const {
     OrbitModel& m = c.fit.model;
-    std::vector<size_t> near;
-    for (size_t j : silhouettes_.seen())
-        if (!silhouettes_.bad(j) && m.ring_of(j) == m.ring_of(i)) near.push_back(j);
+    std::vector<size_t> near = silhouettes_.good();
+    std::erase_if(near, [&](size_t j) { return m.ring_of(j) != m.ring_of(i); });
     if (near.empty()) return;
     std::stable_sort(near.begin(), near.end(), [&](size_t a, size_t b) { return std::max(a, i) - std::min(a, i) < std::max(b, i) - std::min(b, i); });
     near.resize(std::min<size_t>(2, near.size()));
@@ -122,8 +120,7 @@ void RingAligner::free_parts(OrbitModel& m, Orbit orbit) const {
         }
         if (r > 0) free_ring(m, r);
     }
-    for (size_t i : silhouettes_.seen()) {
-        if (silhouettes_.bad(i)) continue;
+    for (size_t i : silhouettes_.good()) {
         if (orbit != Orbit::Turntable) m.of(i, OrbitModel::Azimuth).release(0, 9 * kRadians);
         if (orbit == Orbit::HandHeld) {
             for (const auto part : {OrbitModel::Pan, OrbitModel::Tilt}) m.of(i, part).release(m.of(i, part).value, 0.09 * width_rad);
@@ -271,19 +268,18 @@ void RingAligner::settle(Candidate& c) {
     place_bad(c, middle());
     // They may have been led astray before they were known to be bad: from its neighbours' places, each has a second chance. (Where a neighbour is missing too the hull bulges, and bears
     // many places.)
-    Candidate anew = c;
     const std::vector<size_t>& seen = silhouettes_.seen();
     std::vector<size_t> alone;
     for (size_t k = 0; k < seen.size(); ++k)
         if (silhouettes_.bad(seen[k]) && !silhouettes_.bad(seen[(k + 1) % seen.size()]) && !silhouettes_.bad(seen[(k + seen.size() - 1) % seen.size()])) alone.push_back(seen[k]);
     if (alone.empty()) return;
+    Candidate anew = c;
     for (size_t i : alone) start_anew(anew, i);
     place_bad(anew, coarse());
     place_bad(anew, middle());
     const std::vector<double> before = outside_of_bad(c), after = outside_of_bad(anew);
     for (size_t i : alone)
-        if (after[i] < before[i])
-            for (int part = 0; part < OrbitModel::kViewParts; ++part) c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value = anew.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value;
+        if (after[i] < before[i]) c.fit.model.take_view(i, anew.fit.model);
 }
 
 std::vector<double> RingAligner::outside_of_bad(const Candidate& c) {
@@ -326,7 +322,7 @@ void RingAligner::place_others(std::initializer_list<Best*> candidates) {
     count_as_bad(false);
 }
 
-void RingAligner::place_bad(Candidate& c, CoherencePass pass) {
+void RingAligner::place_bad(Candidate& c, const CoherencePass& pass) {
     Candidate alone = c;
     alone.fit.points = silhouettes_.contour(pass.scale, 2 * pass.points, 7, 0, Silhouettes::Which::Bad);
     if (alone.fit.points.empty()) return;
@@ -338,8 +334,7 @@ void RingAligner::place_bad(Candidate& c, CoherencePass pass) {
     if (m.free().empty()) return;
     refine(alone.fit, silhouettes_, pass, progress_);
     for (size_t i : silhouettes_.seen())
-        if (silhouettes_.bad(i))
-            for (int part = 0; part < OrbitModel::kViewParts; ++part) c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).value = m.of(i, static_cast<OrbitModel::ViewPart>(part)).value;
+        if (silhouettes_.bad(i)) c.fit.model.take_view(i, m);
 }
 
 void RingAligner::trim(CoherenceFit& f) {

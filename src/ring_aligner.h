@@ -109,7 +109,7 @@ class RingAligner {
     void settle(Candidate& c);
 
     /// Cameras of bad silhouettes, from what of their contours is right, before the silhouettes that are not: they move alone.
-    void place_bad(Candidate& c, CoherencePass pass);
+    void place_bad(Candidate& c, const CoherencePass& pass);
 
     /// A view's own quantities as the mean of its two neighbours', aimed at its silhouette.
     void start_anew(Candidate& c, size_t i) const;

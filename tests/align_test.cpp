@@ -36,6 +36,13 @@ std::vector<Vec3d> points_on(const SyntheticScene& scene) {
     return out;
 }
 
+/// Something else beside the object, around a place given as shares of the image.
+void add_blob(Image8& mask, double x_share, double y_share, double radius_px) {
+    for (int y = 0; y < mask.height; ++y)
+        for (int x = 0; x < mask.width; ++x)
+            if (std::hypot(x - x_share * mask.width, y - y_share * mask.height) < radius_px) mask.at(x, y) = 255;
+}
+
 SyntheticSpec small_orbit(uint64_t seed, int views) {
     SyntheticSpec spec = hand_held_orbit(seed);
     spec.rig.views = views;
@@ -376,10 +383,7 @@ TEST(Align, AnotherObjectsMasksAreRefused) {
 
 TEST(Align, ABrokenMaskIsNamedAndDoesNoHarm) {
     SyntheticScene scene = synthesize(small_orbit(1, 20), quiet);
-    Image8& m = scene.masks[7].coverage;
-    for (int y = 0; y < m.height; ++y)
-        for (int x = 0; x < m.width; ++x)
-            if (std::hypot(x - 0.7 * m.width, y - 0.4 * m.height) < 45) m.at(x, y) = 255;
+    add_blob(scene.masks[7].coverage, 0.7, 0.4, 45);
     const AlignResult r = align(without_cameras(scene.views, 0), views_of(scene.masks), {}, quiet);
     EXPECT_TRUE(r.failures.empty()) << r.failures.front();
     for (size_t i = 0; i < r.aligned.size(); ++i) EXPECT_EQ(r.aligned[i].bad, i == 7) << i;
@@ -550,12 +554,7 @@ TEST(Align, ManyViewsAreSearchedByAFew) {
     spec.rig.width_px = 320, spec.rig.height_px = 240;
     SyntheticScene scene = synthesize(spec, quiet);
     const size_t broken = 7;  // one that is searched with; of 54 every ninth is not: 8, 17, 26 …
-    for (const size_t which : {broken, size_t{17}}) {
-        Image8& m = scene.masks[which].coverage;
-        for (int y = 0; y < m.height; ++y)
-            for (int x = 0; x < m.width; ++x)
-                if (std::hypot(x - 0.75 * m.width, y - 0.4 * m.height) < 30) m.at(x, y) = 255;
-    }
+    for (const size_t which : {broken, size_t{17}}) add_blob(scene.masks[which].coverage, 0.75, 0.4, 30);
     AlignOptions options;
     options.restarts = 0;
     const AlignResult r = align(without_cameras(scene.views, 0), views_of(scene.masks), options, quiet);
@@ -578,10 +577,7 @@ TEST(Align, ATurntableWithABrokenMaskIsNotRound) {
     SyntheticSpec spec = small_orbit(1, 18);
     spec.rig.shake_angle_deg = spec.rig.shake_look_at = spec.rig.shake_roll_deg = 0;
     SyntheticScene scene = synthesize(spec, quiet);
-    Image8& m = scene.masks[5].coverage;
-    for (int y = 0; y < m.height; ++y)
-        for (int x = 0; x < m.width; ++x)
-            if (std::hypot(x - 0.7 * m.width, y - 0.4 * m.height) < 45) m.at(x, y) = 255;
+    add_blob(scene.masks[5].coverage, 0.7, 0.4, 45);
     const AlignResult r = align(without_cameras(scene.views, 0), views_of(scene.masks), {}, quiet);
     EXPECT_EQ(r.orbit, Orbit::Turntable);
     EXPECT_TRUE(r.aligned[5].bad);

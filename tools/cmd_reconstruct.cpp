@@ -208,7 +208,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
 
     add_scene_options(*app, o.views, o.mask);
     if (last != LastStage::Mask) add_alignment(*app, *raw);
-    if (*example) app->footer(example);
+    app->footer(example);
     if (last == LastStage::Align) o.align_again = true;
     if (last == LastStage::Carve || last == LastStage::Export) {
         app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(CLI::PositiveNumber)->group("Grid");
