@@ -28,6 +28,7 @@ namespace vdbcarve {
 
 namespace {
 
+constexpr size_t kFewViews = 12;
 constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's is no lens but a flight from perspective
 
 /// Everything that is known about an alignment, once cameras are found.
@@ -102,8 +103,8 @@ Views with_cameras(const Views& given, const OrbitModel& model) {
     Views out = given;
     for (size_t i = 0; i < out.views.size(); ++i) {
         out.views[i].camera = model.camera(i).camera(model.view(i).width_px, model.view(i).height_px);
-        out.views[i].lens = given.views[i].lens;
         out.views[i].sitting = "0";
+        out.views[i].unused.clear();
     }
     out.sittings = {Sitting{}};
     out.up = "z";
@@ -423,14 +424,18 @@ class Alignment {
                 for (int x = 0; x < hit.width; ++x)
                     if (hit.at(x, y) && distance_px(view.field->silhouette.view(), scale, (x + 0.5) / factor, (y + 0.5) / factor) > deep_px) deep_area[s] += 1;
         });
-        bool found = false;
+        std::vector<size_t> holed;
         for (size_t s = 0; s < seen.size(); ++s) {
             if (deep_area[s] > 0) aligner_.trace("%zu carves alone: %.0f of 250 x 250", seen[s], deep_area[s]);
-            if (deep_area[s] < 25) continue;
-            silhouettes_.set_bad(seen[s], true);
-            found = true;
+            if (deep_area[s] >= 25) holed.push_back(seen[s]);
         }
-        if (!found) return;
+        if (holed.empty()) return;
+        if (4 * holed.size() > seen.size()) {  // no mistake of single ones
+            out_.failures.push_back(text_of("%zu of %zu silhouettes each call background what nearly all others keep: %s. Remedy: is it one of these? Several rings or sittings (--rings, --sittings), masks of different objects, holes in most masks", holed.size(), seen.size(),
+                                            some_of(names_of(holed)).c_str()));
+            return;
+        }
+        for (size_t i : holed) silhouettes_.set_bad(i, true);
         aligner_.settle(c_);
         out_.aligned = judged();
     }
@@ -583,6 +588,9 @@ class Alignment {
             out_.features_rms_px = rms(left);
         }
         out_.views = with_cameras(given_, m);
+        for (size_t i = 0; i < given_.views.size(); ++i)
+            if (silhouettes_.bad(i)) out_.views.views[i].unused = "its silhouette contradicts the others'";
+            else if (masks_[i].coverage.empty()) out_.views.views[i].unused = "it has no silhouette: its camera was not found";
         if (!sitting_of_.empty()) set_sittings(out_.views, m, sitting_of_);
         const Similarity& to_ring = world_from_given_;
         if (o_.method == AlignMethod::Refine) {
@@ -612,28 +620,35 @@ class Alignment {
         // A pixel for an object of 300: what masks of that size are usually off by, unless these are seen to be rougher.
         const double allowed_px = std::max({0.3, silhouettes_.size_px() / 300, 1.5 * out_.mask_noise_px});
         // Cameras for which next to nothing was in the others' frames would fit anything.
-        if (!(out_.rms_px <= allowed_px) || out_.touches_world.empty())
+        // Of cameras that do not fit, the other findings are consequences.
+        const bool fits = out_.rms_px <= allowed_px && !out_.touches_world.empty();
+        if (!fits)
             out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may; farthest those of %s. %s", out_.rms_px, allowed_px, some_of(worst_views()).c_str(), why_not().c_str()));
-        std::vector<std::string> bad;
-        for (size_t i : silhouettes_.seen())
-            if (silhouettes_.bad(i)) bad.push_back(given_.views[i].name);
-        if (!bad.empty()) out_.warnings.push_back(text_of("%zu silhouettes contradict the others and constrain nobody: %s. Remedy: look at their masks", bad.size(), some_of(bad).c_str()));
+        std::vector<size_t> bad = silhouettes_.seen();
+        std::erase_if(bad, [&](size_t i) { return !silhouettes_.bad(i); });
+        if (!bad.empty())
+            out_.warnings.push_back(text_of("%s: they contradict the others, so cameras were found without them and they are neither carved with nor coloured from: %s. Remedy: look at their masks", counted(bad.size(), "silhouette").c_str(), some_of(names_of(bad)).c_str()));
         if (6 * bad.size() >= silhouettes_.seen().size() && bad.size() > 1) out_.failures.push_back(text_of("%zu of %zu silhouettes contradict the others: which ones are wrong cannot be told", bad.size(), silhouettes_.seen().size()));
+        const bool few = silhouettes_.seen().size() < kFewViews;
         if (!out_.angles_observable && o_.method == AlignMethod::Refine)
             out_.warnings.push_back(text_of("the silhouettes%s leave each view's angle open by %.1f degrees: the given cameras decide. Remedy: texture, or a marker mat", c_.fit.tracks ? " and the features" : "", out_.azimuth_spread_deg));
+        else if (!out_.angles_observable && few && c_.orbit != Orbit::Turntable)
+            out_.failures.push_back(text_of("%s leave each view's angle open by %.1f degrees; whether the shape depends on them cannot be told by so few. Remedy: two dozen photographs, or --orbit turntable, where the object was turned by known steps", counted(silhouettes_.seen().size(), "silhouette").c_str(), out_.azimuth_spread_deg));
         else if (!out_.angles_observable)
             out_.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "
                                             "Remedy: texture with --method refine, or a marker mat",
                                             out_.azimuth_spread_deg, o_.angles_deg.empty() ? "even" : "given"));
-        else if (mirrored_alike(c_))
+        else if (fits && mirrored_alike(c_))
             undecided_direction();
-        if (out_.angles_observable && o_.method == AlignMethod::Coherence && c_.orbit != Orbit::Turntable) loose_views();
+        if (fits && out_.angles_observable && o_.method == AlignMethod::Coherence && c_.orbit != Orbit::Turntable) loose_views();
         if (out_.symmetry > 1)
             out_.warnings.push_back(text_of("the object looks nearly the same after 1/%d of a turn: angles that are wrong by that much would not be noticed. The shape hardly depends on it, the colours do", out_.symmetry));
+        if (few && o_.method == AlignMethod::Coherence && out_.failures.empty())
+            out_.warnings.push_back(text_of("%s are few to find cameras by: angles may be off by degrees. Remedy: two dozen photographs", counted(silhouettes_.seen().size(), "silhouette").c_str()));
         const double ln_focal = c_.fit.model.global(OrbitModel::LnFocal).value;
-        if (std::fabs(ln_focal) > kMostLnFocal && o_.method != AlignMethod::Paper)
+        if (fits && std::fabs(ln_focal) > kMostLnFocal && o_.method != AlignMethod::Paper)
             out_.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out_.focal_px, out_.focal_start_px));
-        else if (aligner_.focal_known() && std::fabs(ln_focal) > 0.2 && o_.method != AlignMethod::Paper)
+        else if (fits && aligner_.focal_known() && std::fabs(ln_focal) > 0.2 && o_.method != AlignMethod::Paper)
             out_.warnings.push_back(text_of("the focal length given, %.0f px, is not what the silhouettes say: %.0f px is taken. Remedy: check --fov, or the camera file or EXIF that says it", out_.focal_start_px, out_.focal_px));
         else if (out_.focal_spread > 0.05)
             out_.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out_.focal_spread));
@@ -642,8 +657,13 @@ class Alignment {
     std::vector<std::string> worst_views() const {
         std::vector<size_t> order = silhouettes_.seen();
         std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return out_.aligned[a].residual_px > out_.aligned[b].residual_px; });
+        order.resize(std::min<size_t>(3, order.size()));
+        return names_of(order);
+    }
+
+    std::vector<std::string> names_of(const std::vector<size_t>& views) const {
         std::vector<std::string> out;
-        for (size_t k = 0; k < std::min<size_t>(3, order.size()); ++k) out.push_back(given_.views[order[k]].name);
+        for (size_t i : views) out.push_back(given_.views[i].name);
         return out;
     }
 
@@ -651,7 +671,7 @@ class Alignment {
     std::string why_not() const {
         if (o_.method == AlignMethod::Paper) return "The paper's method rarely does better on an unsteady camera. Remedy: --method coherence";
         if (o_.method == AlignMethod::Refine) return "The cameras given are too far from the truth, or masks and cameras do not belong together. Remedy: --cameras none --method coherence, where the views go around the object";
-        std::string out = "Remedy: is it one of these? Not one turn of the object at even steps (--angles, --arc), masks of different objects, or an orbit too far from what was assumed (--orbit, --fov)";
+        std::string out = "Remedy: is it one of these? Not one turn of the object at even steps (--angles, --arc), several rings or sittings (--rings, --sittings), masks of different objects, or an orbit too far from what was assumed (--orbit, --fov)";
         if (o_.principal_point_px) out += text_of(", or --principal-point %g,%g", o_.principal_point_px->x(), o_.principal_point_px->y());
         if (o_.direction != Turn::Auto) out += text_of(", or it turned the other way than --direction %s says", name_of(o_.direction));
         return out;
@@ -660,23 +680,23 @@ class Alignment {
     /// Not round, but with views among which it looks round (a cup, its handle in front): those may stand anywhere, and carve what they do not see.
     void loose_views() {
         constexpr double kLoose_deg = 3;
-        std::vector<std::string> loose;
+        std::vector<size_t> loose;
         double widest = 0;
         for (size_t i : silhouettes_.seen()) {
             const double spread = out_.aligned[i].azimuth_spread_deg;
             if (silhouettes_.bad(i) || spread < kLoose_deg) continue;
             widest = std::max(widest, spread);
-            loose.push_back(given_.views[i].name);
+            loose.push_back(i);
         }
         if (!loose.empty())
             out_.failures.push_back(text_of("the silhouettes leave the angles of %s open by up to %.0f degrees, and the shape depends on them: %s. Remedy: --orbit turntable, where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
                                             "mat",
-                                            counted(loose.size(), "view").c_str(), widest, some_of(loose).c_str()));
+                                            counted(loose.size(), "view").c_str(), widest, some_of(names_of(loose)).c_str()));
     }
 
     void undecided_direction() {
-        out_.failures.push_back(text_of("which way the object turned cannot be told from the silhouettes (%.2f px one way, %.2f px the other), and the wrong one gives its mirror image. Remedy: --direction cw or ccw (seen from above)", out_.rms_px,
-                                        out_.other_direction_px));
+        out_.failures.push_back(text_of("which way the object turned cannot be told from the silhouettes (%.2f px %s, %.2f px %s), and the wrong one gives its mirror image. Remedy: --direction cw or ccw (seen from above)", out_.rms_px,
+                                        name_of(c_.turn), out_.other_direction_px, name_of(c_.turn == Turn::Clockwise ? Turn::Counterclockwise : Turn::Clockwise)));
         const OrbitModel& m = c_.fit.model;
         for (const auto& [turn, other] : best_)
             if (turn != c_.turn && whole(other))
@@ -703,8 +723,7 @@ class Alignment {
 AlignResult align(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) {
     check_align_options(options, views, masks.size());
     if (options.known_length) check_known_length(views, masks, *options.known_length);
-    if (options.method == AlignMethod::Mat) return align_to_mat(views, options, progress);
-    AlignResult out = Alignment(views, masks, options, progress).run();
+    AlignResult out = options.method == AlignMethod::Mat ? align_to_mat(views, options, progress) : Alignment(views, masks, options, progress).run();
     try {
         apply_scale(out, masks, options, progress);
     } catch (const Interrupted&) {
@@ -715,6 +734,7 @@ AlignResult align(const Views& views, const std::vector<MaskView>& masks, const 
         out.failures.push_back(std::string("no scale: ") + e.what());
         if (out.method != AlignMethod::Refine) out.views.units.clear();
     }
+    out.views.unverified = out.failures;
     return out;
 }
 

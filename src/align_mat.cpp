@@ -26,6 +26,7 @@ namespace vdbcarve {
 namespace {
 
 constexpr size_t kLeastCorners = 8;
+constexpr double kMostStretch = 0.05;  ///< of a marker: more than printers and curled paper do within the sheet
 
 /// What one photograph shows of the mat.
 struct Seen {
@@ -416,7 +417,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     // Learnt from every other view, does it hold for the rest?
     // Whose lens was chosen while the print was thought perfect: all of it is asked again.
     const std::optional<int> lens_flags = calibrator.calibrated() ? std::nullopt : std::optional(calibrator.flags_of(kLensRungs[3]));
-    double print_off_m = 0;
+    double print_off_m = 0, print_stretched_m = 0;
     if (seen.size() >= 10 && median(errors_px) > 0.3) {
         std::array<std::vector<Seen>, 2> half;
         std::array<Calibration, 2> calibrated;
@@ -442,9 +443,13 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         if (as_printed < 0.7 * as_meant) {
             Print whole;
             bundle(c, seen, lens_flags, &whole);
-            std::vector<double> off;
-            for (const auto& [key, at] : whole) off.push_back(cv::norm(at - cv::Point3f(key.first, key.second, 0)));
-            print_off_m = rms(off);
+            std::vector<double> off, in_plane;
+            for (const auto& [key, at] : whole) {
+                const cv::Point3f by = at - cv::Point3f(key.first, key.second, 0);
+                off.push_back(cv::norm(by)), in_plane.push_back(std::hypot(by.x, by.y));
+            }
+            print_off_m = rms(off), print_stretched_m = rms(in_plane);
+            progress.detail(text_of("print: corners %.2f mm (rms) off, %.2f mm of it within the sheet", 1e3 * print_off_m, 1e3 * print_stretched_m));
             for (size_t i = 0; i < seen.size(); ++i) errors_px[i] = rms(errors_of(c, i, seen[i]));
         }
     }
@@ -505,12 +510,15 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     out.picture_name = "mat";
     out.picture = picture_of(given, seen, c, errors_px);
     if (!out.left_out.empty()) out.warnings.push_back(text_of("%s left out, the mat is not seen well enough: %s", counted(out.left_out.size(), "view").c_str(), some_of(out.left_out).c_str()));
-    if (print_off_m > 0)
+    const bool another_mat = print_stretched_m > kMostStretch * mat.marker_m;
+    if (print_off_m > 0 && !another_mat)
         out.warnings.push_back(text_of("the print is not quite the mat that --mat says: its corners are %.2f mm (rms) from where they should be, all views agree. That was allowed for, and the scale is that of the layout as a whole. Remedy: measure the print "
                                        "(and print at 100 %%, on stiff paper)",
                                        1e3 * print_off_m));
     const double allowed = std::max(2.0, k.width_px / 500.0);
-    if (out.rms_px > allowed) out.failures.push_back(text_of("the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: another mat than --mat says (the sizes of markers and gaps, columns, rows), a mat that is not flat, or a zoom or focus that changed. Remedy: check --mat; mat.png shows what was found where", out.rms_px, allowed));
+    if (another_mat)
+        out.failures.push_back(text_of("the corners of the print lie %.2f mm (rms) from where --mat says, within the sheet: no printer does that to markers of %.1f mm. Remedy: measure a marker and a gap (or square), and give --mat what you measured", 1e3 * print_stretched_m, 1e3 * mat.marker_m));
+    else if (out.rms_px > allowed) out.failures.push_back(text_of("the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: another mat than --mat says (the sizes of markers and gaps, columns, rows), a mat that is not flat, or a zoom or focus that changed. Remedy: check --mat; mat.png shows what was found where", out.rms_px, allowed));
     if (c.focal_sd_px > 0.02 * k.fx)
         out.warnings.push_back(text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px); the mat was seen from %.0f to %.0f degrees of elevation. Remedy: a few views from higher and lower", 100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px,
                                        *std::min_element(elevations.begin(), elevations.end()), *std::max_element(elevations.begin(), elevations.end())));

@@ -60,6 +60,7 @@ void check_known_length(const Views& views, const std::vector<MaskView>& masks, 
 }
 
 void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress) {
+    if (r.method == AlignMethod::Mat) return;  // which is metric
     double scale = 1;
     const std::vector<Camera> cameras = r.views.cameras();
     if (o.known_distance > 0) {
@@ -83,14 +84,15 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
         if (r.method != AlignMethod::Refine) r.views.units.clear();
         return;
     }
-    r.views.units = o.units;
+    if (r.method != AlignMethod::Refine || !o.units.empty()) r.views.units = o.units;  // else the camera file's
     for (View& v : r.views.views) v.camera.camera_from_world.translation *= scale;
     for (Sitting& s : r.views.sittings) s.scene_from_sitting.translation *= scale;
     if (r.views.floor) *r.views.floor *= scale;
     for (Camera& c : r.other_cameras) c.camera_from_world.translation *= scale;
     for (auto& t : r.touches_world)
         for (float& x : t) x = static_cast<float>(x * scale);
-    progress.note(text_of("scale: one camera distance is %.6g%s%s", scale, o.units.empty() ? "" : " ", o.units.c_str()));
+    const std::string& units = r.views.units;
+    progress.note(text_of("scale: one camera distance is %.6g%s%s", scale, units.empty() ? ", of the unit of the length given; which one it is was not said (--units)" : " ", units.c_str()));
 }
 
 }  // namespace vdbcarve

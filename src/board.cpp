@@ -3,6 +3,8 @@
 
 #include <zlib.h>
 
+#include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
@@ -120,7 +122,7 @@ MatLayout read_mat(const std::string& text) {
             out.step_m = j.at("step_m");
             out.dictionary = j.at("dictionary");
         } catch (const nlohmann::json::exception& e) {
-            throw InputError(text + ": is no mat's layout: " + e.what());
+            throw InputError(text + ": is no mat's layout" + (fs::is_regular_file(text + ".json") ? ". Remedy: --mat " + text + ".json, which was written beside it" : std::string(": ") + e.what()));
         }
         check_mat(out);
         return out;
@@ -129,7 +131,7 @@ MatLayout read_mat(const std::string& text) {
     std::istringstream in(text);
     for (std::string word; std::getline(in, word, ':');) words.push_back(word);
     if ((words.size() != 4 && words.size() != 5) || (words[0] != "grid" && words[0] != "charuco"))
-        throw UsageError("--mat " + text + (text.find(':') == std::string::npos ? ": there is no such file, and it is" : ": is") + " neither a file nor grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)");
+        throw UsageError("--mat " + text + (text.find(':') == std::string::npos ? ": there is no such file, and it is" : ": is") + (words.size() == 2 || words.size() == 3 ? text_of(" incomplete (%s of 4 or 5), and", counted(words.size(), "field").c_str()) : std::string()) + " neither a file nor grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)");
     out.kind = words[0] == "grid" ? MatLayout::Kind::Grid : MatLayout::Kind::Charuco;
     char cross = 0, rest = 0;
     std::istringstream size(words[1]);
@@ -137,7 +139,11 @@ MatLayout read_mat(const std::string& text) {
     const double first = length(words[2], text), second = length(words[3], text);
     out.marker_m = out.kind == MatLayout::Kind::Grid ? first : second;
     out.step_m = out.kind == MatLayout::Kind::Grid ? first + second : first;
-    if (words.size() == 5) out.dictionary = words[4];
+    if (words.size() == 5) {
+        std::string name = words[4];  // "DICT_6X6_250" and "6x6_250" are the same
+        std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::toupper(c); });
+        out.dictionary = name.rfind("DICT_", 0) == 0 ? name.substr(5) : name;
+    }
     check_mat(out);
     return out;
 }

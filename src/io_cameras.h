@@ -27,6 +27,7 @@ struct Imported {
     std::vector<Sitting> sittings{Sitting{}};
     std::string up, units;
     std::optional<double> floor;         ///< along `up`
+    std::vector<std::string> unverified;
     bool integer_pixel_centres = false;  ///< the format counts the first pixel's centre as (0, 0)
     bool metric = true;
     std::vector<std::string> notes;

@@ -146,6 +146,7 @@ Imported read_checked(const fs::path& file, const json& top) {
     if (ours) {
         out.units = ours->value("units", "");
         if (ours->contains("floor") && !out.up.empty()) out.floor = ours->at("floor").get<double>();
+        out.unverified = ours->value("unverified", out.unverified);
         if (ours->contains("sittings")) {
             out.sittings.clear();
             for (const json& s : (*ours)["sittings"]) {
@@ -190,6 +191,7 @@ Imported read_checked(const fs::path& file, const json& top) {
                 k.skew = extra.value("skew", 0.0);
                 k.orthographic = extra.value("orthographic", false);
                 v.view.sitting = extra.value("sitting", "0");
+                v.view.unused = extra.value("unused", "");
             }
         } catch (const json::exception& e) {
             throw InputError(where + e.what());
@@ -262,6 +264,7 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
         f["vdbcarve"] = {{"sitting", view.sitting},
                          {"skew", k.skew},
                          {"orthographic", k.orthographic}};
+        if (!view.unused.empty()) f["vdbcarve"]["unused"] = view.unused;
         frames.push_back(f);
     }
     json& ours = top["vdbcarve"];
@@ -269,6 +272,7 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
     ours["up"] = views.up;
     ours["units"] = views.units;
     if (views.floor) ours["floor"] = *views.floor;
+    if (!views.unverified.empty()) ours["unverified"] = views.unverified;
     json& sittings = ours["sittings"] = json::array();
     for (const Sitting& s : views.sittings) {
         sittings.push_back(

@@ -43,6 +43,7 @@ using nlohmann::json;
 namespace {
 
 constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
+constexpr const char* kUnverified = "unverified";  ///< folder of the result for cameras that align() does not stand behind
 
 json parse_or_empty(const fs::path& file) {
     try {
@@ -167,6 +168,7 @@ class Job {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
         };
         need(o_.views.units.empty() || metres_per(o_.views.units), "--units " + o_.views.units + ": is none of m, cm, mm, km, inch, ft");
+        need(o_.mask.method == MaskMethod::Threshold || o_.mask.threshold == ThresholdOptions(), "--threshold and what shapes its masks (--threshold-channel, --mask-open …) are of --mask threshold");
         need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
         need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
         need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
@@ -210,7 +212,7 @@ class Job {
         if (!fs::exists(o_.output / "report.json")) write_config();
     }
     void write_config() {
-        if (!o_.config_text.empty()) write_file(o_.output / "config.toml", o_.config_text);
+        if (!o_.config_text.empty()) write_file(place_ / "config.toml", o_.config_text);
     }
 
     void load() {
@@ -232,6 +234,10 @@ class Job {
                 throw UsageError("--units " + o_.views.units + ": cameras found from silhouettes know no scale, so their unit is arbitrary. Remedy: --known-height, --known-distance or --known-length, or a marker mat (--method mat)");
             if (o_.align.known_length) check_known_length(views_, {}, *o_.align.known_length);
         }
+        const bool find_again = o_.last_stage != LastStage::Mask && (!views_.posed || o_.align_again);
+        if (find_again && o_.align.method != AlignMethod::Refine && !o_.views.up.empty() && o_.views.up != "z")
+            throw UsageError("--up " + o_.views.up + ": cameras that are found have z up, along the axis (or out of the mat). Remedy: without it; --dcc turns results into another program's axes");
+        if (!find_again && o_.last_stage != LastStage::Mask && !views_.unverified.empty()) doubt(views_.unverified, views_.camera_file.string() + ": its cameras were found, but are UNVERIFIED");
         if (views_.posed && o_.align_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
             progress_.note("of " + views_.camera_file.string() + " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
         if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
@@ -341,9 +347,33 @@ class Job {
             }
         }
         if (!o_.dry_run) place_masks(stored, folder, written, edited);
-        for (size_t i = 0; i < n; ++i)
-            if (std::find(masks_.left_out.begin(), masks_.left_out.end(), i) == masks_.left_out.end()) used_.push_back(i);
+        choose_used();
         return reused;
+    }
+
+    /// Views with a mask, but for those that cameras.json or align() says not to use.
+    void choose_used() {
+        const std::set<size_t> without(masks_.left_out.begin(), masks_.left_out.end());
+        const bool to_be_found = !aligned_ && o_.last_stage != LastStage::Mask && (!views_.posed || o_.align_again);  // every silhouette is asked
+        used_.clear();
+        std::vector<std::string> unused;
+        for (size_t i = 0; i < views_.views.size(); ++i) {
+            const View& v = views_.views[i];
+            if (without.count(i)) continue;
+            if (v.unused.empty() || to_be_found) used_.push_back(i);
+            else unused.push_back(v.name + " (" + v.unused + ")");
+        }
+        if (used_.empty()) throw InputError(views_.camera_file.string() + ": no view is left to carve with");
+        if (!unused.empty() && !aligned_)  // align() has said it
+            progress_.warn(counted(unused.size(), "view") + " not used, as " + views_.camera_file.string() + " says: " + some_of(unused) + ". Remedy: mend the masks and align again");
+    }
+
+    /// Cameras that may be wrong are not carved with, unless that is wanted.
+    void doubt(const std::vector<std::string>& why, const std::string& what, const std::string& remedy = "") {
+        std::string list;
+        for (const std::string& w : why) list += "\n  - " + w;
+        if (!o_.accept_unobservable) throw UndeterminedError(what + ":" + list + "\nRemedy: as said there" + remedy + "; --accept-unobservable goes on with them");
+        progress_.warn(what + ", and used (--accept-unobservable):" + list);
     }
 
     /// Copies of the masks for the user to look at and to edit. An edited one is left alone.
@@ -431,20 +461,21 @@ class Job {
         if (views_.up != written.value("up", "")) views_.floor.reset();  // a height along another axis
         views_.units = o_.views.units.empty() ? written.value("units", "") : o_.views.units;
         orbit_svg_ = svg_file;
+        aligned_ = true;
+        if (!by_mat) choose_used();
         say_alignment();
-        const json& failures = report_["align"]["failures"];
-        if (failures.empty()) return reused;
-        std::string why;
-        for (const json& f : failures) why += (why.empty() ? "" : "; ") + f.get<std::string>();
-        if (o_.accept_unobservable) {
-            progress_.warn("UNVERIFIED cameras are used (--accept-unobservable): " + why);
-            return reused;
-        }
-        if (!o_.dry_run) {
+        if (views_.unverified.empty()) return reused;
+        std::string shown;
+        if (!o_.accept_unobservable) {  // beside what an earlier run made, which stays
+            place_ = o_.output / kUnverified;
+            fs::remove_all(place_);
+            make_folder(place_);
             place_alignment(fs::exists(other_file) ? other_file : fs::path());
             finish();
+            shown = "; " + place_.string() + " holds them, " + (fs::exists(place_ / "preview.png") ? "its preview.png shows what they would make" : "and what was found");
         }
-        throw UndeterminedError(why + (fs::exists(o_.output / "preview.png") ? ". " + (o_.output / "preview.png").string() + " shows what the cameras found would make, UNVERIFIED;" : ".") + " --accept-unobservable goes on with them");
+        doubt(views_.unverified, "the cameras found are UNVERIFIED", shown);
+        return reused;
     }
 
     /// Cameras and sittings from a file of ours about the same views.
@@ -452,7 +483,9 @@ class Job {
         const io::Imported read = io::read_transforms(file);
         views.sittings = read.sittings;
         views.floor = read.floor;
+        views.unverified = read.unverified;
         for (size_t i = 0; i < views.views.size(); ++i) {
+            views.views[i].unused = read.views.at(i).view.unused;
             views.views[i].camera = read.views.at(i).view.camera;
             views.views[i].sitting = read.views[i].view.sitting;
             views.views[i].lens = read.views[i].view.lens;
@@ -477,17 +510,19 @@ class Job {
         return masks;
     }
 
+    /// What the alignment drew; and nothing of an earlier one's.
     void place_align_pictures() {
-        if (!orbit_svg_.empty()) place_copy(orbit_svg_, o_.output / "orbit.svg");
-        if (fs::exists(align_picture_)) place_copy(align_picture_, o_.output / (report_["align"]["picture"].get<std::string>() + ".png"));
+        for (const char* name : {"orbit.svg", "mat.png", "energy_map.png"}) fs::remove(place_ / name);
+        if (!orbit_svg_.empty()) place_copy(orbit_svg_, place_ / "orbit.svg");
+        if (fs::exists(align_picture_)) place_copy(align_picture_, place_ / (report_["align"]["picture"].get<std::string>() + ".png"));
     }
 
     /// cameras.json, orbit.svg, and in preview.png the hull over the views that fit worst.
     void place_alignment(const fs::path& other_cameras = {}) {
-        write_file(o_.output / "cameras.json", cameras_json(views_));
+        write_file(place_ / "cameras.json", cameras_json(views_));
         place_align_pictures();
         if (used_.empty()) {  // found without masks: there is no hull to be shown
-            fs::remove(o_.output / "preview.png");
+            fs::remove(place_ / "preview.png");
             return;
         }
         std::map<std::string, double> residual;
@@ -511,14 +546,14 @@ class Job {
             for (const size_t i : worst) agreement_[i] = compare_silhouettes(silhouette_of(mesh_, views.cameras()[i]), masks[i]);
             preview(views, worst, file);
         };
-        sheet(views_, o_.output / "preview.png");
+        sheet(views_, place_ / "preview.png");
         if (!other_cameras.empty()) {
             Views other = views_;
             take_cameras(other, other_cameras);
             const std::string turned = report_["align"]["direction"].get<std::string>(), opposite = turned == "cw" ? "ccw" : "cw";
-            sheet(other, o_.output / ("preview_direction_" + opposite + ".png"));
-            if (!fs::exists(o_.output / "preview.png") || !fs::exists(o_.output / ("preview_direction_" + opposite + ".png"))) return;  // said above
-            place_copy(o_.output / "preview.png", o_.output / ("preview_direction_" + turned + ".png"));
+            sheet(other, place_ / ("preview_direction_" + opposite + ".png"));
+            if (!fs::exists(place_ / "preview.png") || !fs::exists(place_ / ("preview_direction_" + opposite + ".png"))) return;  // said above
+            place_copy(place_ / "preview.png", place_ / ("preview_direction_" + turned + ".png"));
             progress_.note("both ways are shown: preview_direction_cw.png is --direction cw, preview_direction_ccw.png is --direction ccw; the wrong one is a mirror image");
         }
     }
@@ -529,6 +564,7 @@ class Job {
         Sha256 h;
         h.add("carve").add_value(kCodeVersion).add(mask_key_).add(views_.units).add(views_.up).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.distance.silhouette_offset_px);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
+        for (const size_t i : used_) h.add_value(i);
         h.add_value(o_.resolution).add_value(o_.voxel_size).add_value(o_.max_misses).add_value(o_.min_seen);
         h.add_value(o_.outside_is_background).add_value(o_.occupancy).add_value(o_.half_width_vox).add_value(o_.field_scale);
         if (o_.grid)
@@ -1491,11 +1527,11 @@ class Job {
             progress_.step();
         });
         std::vector<double> ious;
-        const std::set<size_t> out(masks_.left_out.begin(), masks_.left_out.end());
+        const std::set<size_t> taken(used_.begin(), used_.end());
         std::string weak;
         size_t weak_count = 0;
         for (size_t i = 0; i < n; ++i) {
-            const bool used = !out.count(i);
+            const bool used = taken.count(i) > 0;
             report_["views"].push_back({{"name", views_.views[i].name},
                                         {"used", used},
                                         {"silhouette_iou", a[i].iou},
@@ -1554,7 +1590,7 @@ class Job {
             tiles[s].photo = std::move(photo);
         });
         Image8 sheet = preview_sheet(mesh_, tiles);
-        if (report_.contains("align") && !report_["align"]["verified"].get<bool>()) io::stamp(sheet, "UNVERIFIED");
+        if (!views_.unverified.empty()) io::stamp(sheet, "UNVERIFIED");
         const auto png = io::encode_png(sheet);
         write_file(file, png.data(), png.size());
     }
@@ -1572,7 +1608,8 @@ class Job {
         out.minimum_iou = minimum_iou_;
         if (!o_.dry_run) {
             write_config();
-            write_file(o_.output / "report.json", out.report_json);
+            write_file(place_ / "report.json", out.report_json);
+            if (place_ == o_.output && o_.last_stage != LastStage::Mask) fs::remove_all(o_.output / kUnverified);
         }
         return out;
     }
@@ -1584,8 +1621,10 @@ class Job {
     Views views_;
     Masks masks_;
     std::vector<std::string> mask_names_;
-    std::vector<size_t> used_;  ///< indices of views with a mask
+    std::vector<size_t> used_;  ///< indices of views that are carved with
     std::string align_key_;
+    bool aligned_ = false;      ///< cameras were found in this run
+    fs::path place_{o_.output}; ///< where files of the result appear
     fs::path align_picture_;
     bool floor_clips_ = false;  ///< the bounds end at the floor
     fs::path orbit_svg_;        ///< of the cameras that were found

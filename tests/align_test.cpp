@@ -10,8 +10,10 @@
 #include <numbers>
 #include <random>
 
+#include "atomic_file.h"
 #include "coherence.h"
 #include "coherence_fit.h"
+#include "io_image.h"
 #include "orbit_model.h"
 #include "support/align_scene.h"
 #include "support/scenes.h"
@@ -653,18 +655,65 @@ TEST(AlignPipeline, MasksAloneBecomeAMeshAndAgainTheSame) {
 
 TEST(AlignPipeline, CamerasThatCannotBeTrustedEndTheRunUnlessAccepted) {
     Folder f(small_orbit(1, 14));
+    f.run();
+    const std::string mesh = read_text(f.folder / "out/mesh.ply"), cameras = read_text(f.folder / "out/cameras.json"), report = read_text(f.folder / "out/report.json");
     f.options.align.direction = Turn::Counterclockwise;
     const std::string said = error_of(ExitCode::Undetermined, [&] { f.run(); });
     EXPECT_NE(said.find("do not fit together"), std::string::npos) << said;
     EXPECT_NE(said.find("--accept-unobservable"), std::string::npos) << said;
-    for (const char* file : {"out/preview.png", "out/cameras.json", "out/report.json"}) EXPECT_TRUE(std::filesystem::exists(f.folder / file)) << file;
-    EXPECT_FALSE(nlohmann::json::parse(read_text(f.folder / "out/report.json"))["align"]["verified"]);
-    EXPECT_FALSE(std::filesystem::exists(f.folder / "out/mesh.ply"));
-    f.options.accept_unobservable = true;
+    // What was there before stays, and what was found lies apart.
+    EXPECT_EQ(read_text(f.folder / "out/mesh.ply"), mesh);
+    EXPECT_EQ(read_text(f.folder / "out/cameras.json"), cameras);
+    EXPECT_EQ(read_text(f.folder / "out/report.json"), report);
+    for (const char* file : {"preview.png", "cameras.json", "report.json"}) EXPECT_TRUE(std::filesystem::exists(f.folder / "out/unverified" / file)) << file;
+    EXPECT_FALSE(nlohmann::json::parse(read_text(f.folder / "out/unverified/report.json"))["align"]["verified"]);
+    // Nor are such cameras carved with by another run that does not ask for it.
+    std::filesystem::copy_file(f.folder / "out/unverified/cameras.json", f.folder / "doubtful.json");
+    const ReconstructOptions searching = f.options;
+    f.options.align = {};
+    f.options.views.cameras = f.folder / "doubtful.json";
+    f.options.output = f.folder / "out2";
     f.options.max_misses = 4;  // or nothing is left
+    EXPECT_NE(error_of(ExitCode::Undetermined, [&] { f.run(); }).find("UNVERIFIED"), std::string::npos);
+    f.options.accept_unobservable = true;
+    f.run();
+    EXPECT_TRUE(std::filesystem::exists(f.folder / "out2/mesh.ply"));
+    EXPECT_NE(read_text(f.folder / "out2/cameras.json").find("unverified"), std::string::npos);
+    f.options = searching;
+    f.options.accept_unobservable = true;
+    f.options.max_misses = 4;
     const nlohmann::json r = f.run();
     EXPECT_FALSE(r["align"]["verified"]);
-    EXPECT_TRUE(std::filesystem::exists(f.folder / "out/mesh.ply"));
+    EXPECT_NE(read_text(f.folder / "out/mesh.ply"), mesh);
+    EXPECT_FALSE(std::filesystem::exists(f.folder / "out/unverified"));
+}
+
+TEST(AlignPipeline, ABrokenMaskIsNotCarvedWith) {
+    Folder f(small_orbit(1, 20));
+    const double clean = f.run()["mesh"]["volume"];
+    const std::filesystem::path file = f.folder / "scene/masks/0007.png";
+    Image8 mask = io::read_image8(file);
+    for (int y = 0; y < mask.height; ++y)
+        for (int x = mask.width / 2; x < mask.width; ++x) mask.at(x, y) = 0;
+    const std::vector<uint8_t> png = io::encode_png(mask);
+    write_file(file, png.data(), png.size());
+    const nlohmann::json broken = f.run();
+    EXPECT_NEAR(broken["mesh"]["volume"].get<double>() / clean, 1, 0.03);
+    for (size_t i = 0; i < 20; ++i) EXPECT_EQ(broken["views"][i]["used"], i != 7) << i;
+    // The camera file says so too.
+    const std::string mesh = read_text(f.folder / "out/mesh.ply");
+    std::filesystem::copy_file(f.folder / "out/cameras.json", f.folder / "scene/cameras.json");
+    f.options.output = f.folder / "out2";
+    f.options.align = {};
+    EXPECT_FALSE(f.run()["views"][7]["used"]);
+    EXPECT_EQ(read_text(f.folder / "out2/mesh.ply"), mesh);
+}
+
+TEST(Align, FewViewsAreNotTakenForARoundObject) {
+    const SyntheticScene scene = synthesize(small_orbit(1, 5), quiet);
+    const AlignResult r = align(without_cameras(scene.views, 0), views_of(scene.masks), {}, quiet);
+    for (const std::string& w : r.warnings) EXPECT_EQ(w.find("looks the same"), std::string::npos) << w;
+    EXPECT_FALSE(r.failures.empty() && r.warnings.empty());
 }
 
 TEST(AlignPipeline, PhotographsSayTheirFocalLength) {

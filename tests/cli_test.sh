@@ -84,9 +84,17 @@ expect 0 'warning the focal length given, .* is not what the silhouettes say' al
 expect 5 'it turned the other way than --direction ccw says' align turn --cameras none --direction ccw --restarts 0 --known-height 12 --units mm -o wrong_height
 expect 2 'whole numbers of views' align turn --cameras none --rings 8.5,7.5 -o elsewhere
 expect 5 'UNVERIFIED' align turn --cameras none --direction ccw --fov 30 --restarts 0 -o wrong
-check 'what is not verified is shown' test -s wrong/preview.png
+check 'what is not verified is shown, apart' test -s wrong/unverified/preview.png -a ! -e wrong/cameras.json
+expect 5 'UNVERIFIED' reconstruct turn --cameras ../"$(basename "$work")"/wrong/unverified/cameras.json -o elsewhere
+expect 2 'neither a file nor|there is no such file' align turn --cameras none --angles nowhere.txt -o elsewhere
+expect 2 '--up y: cameras that are found have z up' align turn --cameras none --up y -o elsewhere
+expect 2 'are of --mask threshold' align turn --cameras none --threshold 20 -o elsewhere
+expect 0 'says mm; its numbers are taken for m' reconstruct turn --cameras ../"$(basename "$work")"/aligned/cameras.json --units m --dry-run -o elsewhere
 expect 0 'at 100 %.*175.0 mm wide' board -o mat.pdf
 check 'the mat and its layout' test -s mat.pdf -a -s mat.pdf.json
+expect 3 'Remedy: --mat mat.pdf.json' align turn --cameras none --method mat --mat mat.pdf -o elsewhere
+expect 2 'incomplete .2 fields' align turn --cameras none --method mat --mat grid:5x7 -o elsewhere
+expect 0 'mm wide' board --mat grid:5x7:0.03:0.005:DICT_6X6_250 -o spelt.png
 expect 2 'lengths are in metres, 35 mm are 0.035' board --mat grid:5x7:35:5:6X6_250 -o mm.png
 expect 2 'odd' board --mat charuco:7x8:0.03:0.02 -o mat.png
 # Whatever vectors the machine has.

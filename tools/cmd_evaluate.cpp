@@ -152,6 +152,7 @@ Command add_evaluate(CLI::App& program) {
                     std::cout << j.dump(1) << "\n";
                     return 0;
                 }
+                if (raw->align != "none") std::printf("lengths are the truth's; the mesh was brought there by --align %s, scale x%.6g\n", raw->align.c_str(), raw->options.align->scale);
                 std::printf("accuracy (mesh to truth)      mean %.6g  median %.6g  90 %% %.6g  max %.6g\n", e.to_truth.mean, e.to_truth.median, e.to_truth.p90, e.to_truth.max);
                 std::printf("completeness (truth to mesh)  mean %.6g  median %.6g  90 %% %.6g  max %.6g\n", e.from_truth.mean, e.from_truth.median, e.from_truth.p90, e.from_truth.max);
                 std::printf("Chamfer %.6g, Hausdorff 95 %% %.6g, max %.6g\n", e.chamfer, e.hausdorff95, e.hausdorff);

@@ -35,7 +35,9 @@ size_t bytes_of(const std::string& option, const std::string& text) {
 
 /// Words of a list or of a text file: "0,10,20" or angles.txt.
 std::vector<double> list_of(const std::string& option, std::string text) {
-    if (std::filesystem::is_regular_file(text)) {
+    const std::string given = text;
+    const bool from_file = std::filesystem::is_regular_file(text);
+    if (from_file) {
         std::ifstream in(text);
         std::ostringstream all;
         all << in.rdbuf();
@@ -45,7 +47,13 @@ std::vector<double> list_of(const std::string& option, std::string text) {
         if (c == ',' || c == ';') c = ' ';
     std::vector<double> out;
     std::istringstream words(text);
-    for (std::string word; words >> word;) out.push_back(numbers(option, word, 1)[0]);
+    for (std::string word; words >> word;) {
+        try {
+            out.push_back(numbers(option, word, 1)[0]);
+        } catch (const UsageError&) {
+            throw UsageError(option + " " + given + ": '" + word + "' is no number" + (from_file ? "" : ", and there is no such file"));
+        }
+    }
     return out;
 }
 
@@ -178,7 +186,7 @@ void add_alignment(CLI::App& app, Raw& raw) {
     app.add_option_function<std::string>("--arc", [&a](const std::string& text) {
            a.arc_known = text != "auto";
            if (a.arc_known) a.arc_deg = numbers("--arc", text, 1)[0];
-       }, "degrees from the first view once around (360: the last view is one step before the first); auto: not known")->default_str("360")->group(group);
+       }, "degrees the object turns over a ring of views: 360 for one whole turn (the last view is one step before the first again), 335 where the walk stopped short, 720 for two turns; auto: not known")->default_str("360")->group(group);
     add_choice<Turn>(app, "--direction", a.direction, {{"auto", Turn::Auto}, {"cw", Turn::Clockwise}, {"ccw", Turn::Counterclockwise}}, "the object's turn from view to view, seen from above: cw, ccw or auto. ccw: what is in front moves to the right in the images\n"
                    "            ccw   .---.          cw   .---.\n"
                    "                 v     |             |     v\n"

@@ -117,7 +117,7 @@ Command add_synth(CLI::App& program) {
     app->add_option("--start", raw->start, "azimuth of the first view, degrees")->group("Motion");
     app->add_option("--arc", raw->arc, "degrees that the views are spread over (360); more than 360: arcs overlap")->group("Motion");
     app->add_option("--speed-variation", raw->speed, "smooth changes of angular speed, share of the mean")->check(CLI::Range(0.0, 0.9))->group("Motion");
-    app->add_option("--sittings", raw->sittings, "2: half of the views show the object laid on its side")->check(CLI::Range(1, 2))->group("Motion");
+    app->add_option("--sittings", raw->sittings, "2: half of the views show the object laid on its side; each half goes once half around (align: --sittings N,N --arc 180, where the rig has one ring)")->check(CLI::Range(1, 2))->group("Motion");
     app->add_option("--lens", raw->lens, "k1,k2,p1,p2: distortion of photos and masks (OpenCV's model)")->group("Camera");
     app->add_option("--breathing", raw->breathing, "the focal length wanders by up to this share")->check(CLI::Range(0.0, 0.5))->group("Camera");
     app->add_option("--crop-drift", raw->crop_drift, "the principal point wanders by up to so many pixels (a stabiliser's crop)")->check(CLI::Range(0.0, 1000.0))->group("Camera");

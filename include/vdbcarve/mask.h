@@ -29,6 +29,8 @@ struct ThresholdOptions {
     bool largest_component = true;                  ///< keep the largest connected piece only
     /// Holes up to this share of the object's area are filled (shadows); 1 fills all.
     double fill_holes = 0.005;
+
+    bool operator==(const ThresholdOptions&) const = default;
 };
 
 struct MaskOptions {

@@ -21,6 +21,7 @@ struct View {
     Camera camera;                      ///< pinhole (or orthographic), after the lens was removed
     Lens lens;                          ///< what has to be removed from image and mask
     std::string sitting = "0";          ///< which sitting of the object this view belongs to
+    std::string unused;                 ///< why it is neither carved with nor coloured from; empty: it is
 };
 
 /// The object may be turned over or moved between two rounds of photographs: each round is a sitting, with
@@ -41,6 +42,7 @@ struct Views {
     std::string units;                  ///< length unit of the world, or empty when unknown
     std::optional<double> floor;        ///< height along `up` of what the object stands on: nothing of it is lower
     std::vector<std::string> left_out;  ///< names of views without an image (allow_missing)
+    std::vector<std::string> unverified;  ///< why its cameras must not be trusted (exit 5 of align); empty: nothing speaks against them
     bool metric = true;                 ///< false: a projective world, without angles and distances
     bool posed = true;                  ///< false: there was no camera file; focal lengths may be 0 (unknown), poses mean nothing
 
