@@ -407,8 +407,10 @@ class Alignment {
         Mesh kept;
         try {
             kept = extract_mesh(*coarse_hull(given_.names(), cameras, trusted, 96, 0.6, quiet, 1), {}, quiet);
-        } catch (const ContradictionError&) {
-            return;  // there is none; other tests say why
+        } catch (const Interrupted&) {
+            throw;
+        } catch (const Error&) {
+            return;  // there is none, or it has no bounds; other tests say why
         }
         // Without one view the hull bulges between its neighbours, the more the farther they are apart: a round object of radius R by R (1 / cos(step) - 1).
         const double step_rad = 2 * std::numbers::pi / static_cast<double>(seen.size());
