@@ -72,6 +72,28 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
     return out;
 }
 
+Image8 mask_overlay(ImageView<uint8_t> photo, const Mask& mask) {
+    constexpr int kMostWidth = 1024;
+    const Image8& m = mask.coverage;
+    const int width = std::min(m.width, kMostWidth), height = std::max(1, static_cast<int>(std::lround(static_cast<double>(m.height) * width / m.width)));
+    const Image8 small_photo = photo.empty() ? Image8() : io::downscale(photo, width, height), small = io::downscale(m, width, height), ignore = mask.ignore.empty() ? Image8() : io::downscale(mask.ignore, width, height);
+    Image8 out(width, height, 3);
+    for (int y = 0; y < height; ++y)
+        for (int x = 0; x < width; ++x) {
+            const bool object = small.at(x, y) >= 128, ignored = !ignore.empty() && ignore.at(x, y) >= 128;
+            const auto on = [&](int u, int v) { return u >= 0 && v >= 0 && u < width && v < height && small.at(u, v) >= 128; };
+            const bool edge = object && !(on(x - 1, y) && on(x + 1, y) && on(x, y - 1) && on(x, y + 1));
+            for (int c = 0; c < 3; ++c) {
+                double v = small_photo.empty() ? (object ? 200 : 60) : small_photo.at(x, y, small_photo.channels >= 3 ? c : 0);
+                if (!object) v = 0.45 * v + (c == 0 ? 100 : 0);
+                if (ignored) v = 0.5 * v + (c == 2 ? 127 : 0);
+                if (edge) v = c == 1 ? 255 : 0;
+                out.at(x, y, c) = static_cast<uint8_t>(std::clamp(v, 0.0, 255.0));
+            }
+        }
+    return out;
+}
+
 Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views) {
     constexpr int kTileWidth = 320;
     std::vector<Image8> tiles(views.size());

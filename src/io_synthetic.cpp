@@ -89,7 +89,7 @@ SyntheticSpec read_spec(const fs::path& file) {
         }
         if (j.contains("look")) {
             const json& l = j["look"];
-            known(l, {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif", "exposure_jitter", "flat"}, "look: ");
+            known(l, {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif", "exposure_jitter", "flat", "light_drift", "backdrop", "spill", "plates"}, "look: ");
             PhotoLook& look = spec.look;
             look.gloss = l.value("gloss", look.gloss);
             look.table = l.value("table", look.table);
@@ -100,6 +100,10 @@ SyntheticSpec read_spec(const fs::path& file) {
             look.exif = l.value("exif", look.exif);
             look.exposure_jitter = l.value("exposure_jitter", look.exposure_jitter);
             look.flat = l.value("flat", look.flat);
+            look.light_drift = l.value("light_drift", look.light_drift);
+            if (l.contains("backdrop")) look.backdrop = vec(l["backdrop"]);
+            look.spill = l.value("spill", look.spill);
+            look.plates = l.value("plates", look.plates);
         }
         if (j.contains("damage")) {
             const json& d = j["damage"];
@@ -125,14 +129,16 @@ void write_scene(const SyntheticScene& scene, const fs::path& folder) {
     make_folder(folder / "masks");
     make_folder(folder / "images");
     if (!scene.true_masks.empty()) make_folder(folder / "masks_true");
+    if (!scene.plates.empty()) make_folder(folder / "plates");
     tbb::parallel_for(size_t{0}, scene.masks.size(), [&](size_t i) {
         const auto write = [&](const fs::path& file, const Image8& image) {
             const auto png = io::encode_png(image);
             write_file(file, png.data(), png.size());
         };
         write(folder / scene.views.views[i].mask_path, scene.masks[i].coverage);
-        // Without photographs the silhouettes stand in for them.
         const View& view = scene.views.views[i];
+        if (!scene.plates.empty()) write((folder / "plates" / fs::path(view.name).filename()).replace_extension(".png"), scene.plates[i]);
+        // Without photographs the silhouettes stand in for them.
         if (!scene.true_masks.empty()) write(folder / "masks_true" / view.mask_path.filename(), scene.true_masks[i].coverage);
         if (!scene.photos.empty() && scene.look.jpeg_quality > 0) {
             const Intrinsics& k = view.camera.intrinsics;

@@ -2,15 +2,22 @@
 #include "vdbcarve/mask.h"
 
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <map>
-#include <opencv2/imgproc.hpp>
 
+#include "atomic_file.h"
 #include "io_cameras.h"
 #include "io_image.h"
+#include "mask_clean_up.h"
+#include "mask_files.h"
+#include "mask_methods.h"
+#include "opencv_image.h"
+#include "otsu.h"
+#include "sha256.h"
 #include "text.h"
 
 namespace vdbcarve {
@@ -37,38 +44,10 @@ Image8 channel_of(ImageView<uint8_t> photo, MaskChannel channel) {
     return out;
 }
 
-cv::Mat wrap(Image8& image) { return {image.height, image.width, CV_8UC1, image.data.data()}; }
-
-using Histogram = std::array<uint64_t, 256>;
-
 Histogram histogram_of(const Image8& channel) {
     Histogram h{};
     for (uint8_t v : channel.data) ++h[v];
     return h;
-}
-
-/// Otsu's threshold, the first level that is object: the split with the largest variance between classes,
-/// of the values or of their square roots.
-double otsu_level(const Histogram& histogram, bool of_root) {
-    const auto x = [&](size_t v) { return of_root ? std::sqrt(255.0 * static_cast<double>(v)) : static_cast<double>(v); };
-    double total = 0, sum = 0;
-    for (size_t v = 0; v < 256; ++v) {
-        total += static_cast<double>(histogram[v]);
-        sum += static_cast<double>(histogram[v]) * x(v);
-    }
-    double below = 0, below_sum = 0, best = -1, level = 128;
-    for (size_t v = 0; v < 255; ++v) {
-        below += static_cast<double>(histogram[v]);
-        below_sum += static_cast<double>(histogram[v]) * x(v);
-        if (below == 0 || below == total) continue;
-        const double apart = below_sum / below - (sum - below_sum) / (total - below);
-        const double between = below * (total - below) * apart * apart;
-        if (between > best) {
-            best = between;
-            level = static_cast<double>(v + 1);
-        }
-    }
-    return level;
 }
 
 /// One level for all photographs: the same lamp and background stood behind them.
@@ -97,115 +76,24 @@ Image8 soft_step(const Image8& channel, double level, bool invert) {
     return out;
 }
 
-cv::Mat disc(int radius_px) { return cv::getStructuringElement(cv::MORPH_ELLIPSE, {2 * radius_px + 1, 2 * radius_px + 1}); }
-
-void keep_largest(cv::Mat& binary) {
-    cv::Mat labels, stats, centroids;
-    const int n = cv::connectedComponentsWithStats(binary, labels, stats, centroids, 8, CV_32S);
-    int best = 0;
-    for (int i = 1; i < n; ++i)
-        if (best == 0 || stats.at<int>(i, cv::CC_STAT_AREA) > stats.at<int>(best, cv::CC_STAT_AREA)) best = i;
-    if (best) binary.setTo(0, labels != best);
-}
-
-void fill_small_holes(cv::Mat& binary, double share) {
-    const double area = cv::countNonZero(binary);
-    const cv::Mat background = binary == 0;
-    cv::Mat labels, stats, centroids;
-    const int n = cv::connectedComponentsWithStats(background, labels, stats, centroids, 4, CV_32S);
-    std::vector<uint8_t> fill(static_cast<size_t>(n), 0);
-    for (int i = 1; i < n; ++i) {
-        const int x = stats.at<int>(i, cv::CC_STAT_LEFT), y = stats.at<int>(i, cv::CC_STAT_TOP);
-        const int w = stats.at<int>(i, cv::CC_STAT_WIDTH), h = stats.at<int>(i, cv::CC_STAT_HEIGHT);
-        const bool at_border = x == 0 || y == 0 || x + w == binary.cols || y + h == binary.rows;
-        if (!at_border && (share >= 1 || stats.at<int>(i, cv::CC_STAT_AREA) <= share * area)) fill[static_cast<size_t>(i)] = 1;
+/// From the cache, where the command has seen the same photograph before.
+Image8 mask_of_command(const View& view, const MaskOptions& options, Progress& progress) {
+    const std::vector<std::string> words = words_of_command(options.command);
+    const fs::path folder = options.cache.empty() ? fs::temp_directory_path() : options.cache;
+    fs::path known;
+    if (!options.cache.empty()) {
+        make_folder(folder);
+        Sha256 key;
+        for (const std::string& w : words) key.add(w);
+        known = folder / (key.add(sha256_of_file(view.image_path)).hex().substr(0, 24) + ".png");
+        if (fs::is_regular_file(known)) return io::read_image8(known);
     }
-    for (int y = 0; y < binary.rows; ++y)
-        for (int x = 0; x < binary.cols; ++x)
-            if (fill[static_cast<size_t>(labels.at<int>(y, x))]) binary.at<uint8_t>(y, x) = 255;
-}
-
-/// A file that is a mask: grey, or grey spelled as RGB, or the alpha of RGBA.
-Image8 grey_of(const Image8& file, const fs::path& path) {
-    if (file.channels == 1) return file;
-    Image8 out(file.width, file.height);
-    const auto channels = static_cast<size_t>(file.channels);
-    bool alpha_varies = false;
-    size_t coloured = 0;
-    if (channels == 4)
-        for (size_t i = 0; i < out.data.size(); ++i) alpha_varies |= file.data[i * 4 + 3] != file.data[3];
-    for (size_t i = 0; i < out.data.size(); ++i) {
-        const uint8_t* p = &file.data[i * channels];
-        if (alpha_varies) {
-            out.data[i] = p[3];
-            continue;
-        }
-        coloured += std::abs(p[0] - p[1]) > 8 || std::abs(p[1] - p[2]) > 8;
-        out.data[i] = std::max(std::min(p[0], p[1]), std::min(std::max(p[0], p[1]), p[2]));  // the middle one
+    const Image8 made = mask_by_command(words, view.image_path, folder, progress);
+    if (!known.empty()) {
+        const std::vector<uint8_t> png = io::encode_png(made);
+        write_file(known, png.data(), png.size());
     }
-    // A stray pixel is a writer's slip; more is another kind of picture.
-    if (static_cast<double>(coloured) > 0.005 * static_cast<double>(out.data.size()))
-        throw InputError(path.string() + ": is coloured; a mask is grey (white = object). Is it a photograph, or a map of class colours?");
-    return out;
-}
-
-void refuse_class_numbers(const Image8& mask, const fs::path& path) {
-    const auto high = *std::max_element(mask.data.begin(), mask.data.end());
-    if (high > 0 && high < 16)
-        throw InputError(path.string() + ": its largest value is " + std::to_string(high) +
-                         " of 255: it looks like class numbers. Remedy: write the object's class as 255 and the rest as 0");
-}
-
-bool is_two_level(const Image8& grey) {
-    size_t between = 0, high = 0;
-    for (uint8_t v : grey.data) {
-        between += v > 8 && v < 247;
-        high += v >= 247;
-    }
-    return high > 0 && static_cast<double>(between) < 0.02 * static_cast<double>(grey.data.size());
-}
-
-fs::path existing(const fs::path& p) { return fs::is_regular_file(p) ? p : fs::path(); }
-
-/// In the view's own subfolder first (masks/cam0/0001.png), then directly; two views that end at one file are
-/// refused in make_masks.
-fs::path mask_in_folder(const fs::path& folder, const View& view) {
-    const fs::path image(view.image_path.empty() ? view.name : view.image_path.string());
-    const std::string file = image.filename().string(), stem = image.stem().string();
-    for (const fs::path& place : {folder / fs::path(view.name).parent_path(), folder})
-        for (const std::string& candidate : {file + ".png", stem + ".png", stem + "_mask.png", stem + ".mask.png", file + ".mask.png", file})
-            if (fs::path p = existing(place / candidate); !p.empty()) return p;
-    return {};
-}
-
-/// The object mask's file, by the search order that the README documents.
-fs::path object_mask_file(const View& view, const fs::path& scene, const MaskOptions& options) {
-    if (!options.masks.empty()) return mask_in_folder(in_scene(options.masks, scene), view);
-    const fs::path image(view.image_path.empty() ? view.name : view.image_path.string());
-    if (!options.pattern.empty()) {
-        std::string p = options.pattern;
-        const auto replace = [&](const std::string& key, const std::string& value) {
-            for (size_t at; (at = p.find(key)) != std::string::npos;) p.replace(at, key.size(), value);
-        };
-        replace("{stem}", image.stem().string());
-        replace("{name}", image.filename().string());
-        return existing(scene / p);
-    }
-    if (!view.mask_path.empty()) {
-        if (!fs::is_regular_file(view.mask_path)) throw InputError(view.mask_path.string() + ": the camera file names this mask for view " + view.name + ", and it is not there");
-        return view.mask_path;
-    }
-    if (fs::is_directory(scene / "masks"))
-        if (fs::path p = mask_in_folder(scene / "masks", view); !p.empty()) return p;
-    for (const std::string& candidate :
-         {image.stem().string() + "_mask.png", image.stem().string() + ".mask.png", image.filename().string() + ".mask.png"})
-        if (fs::path p = existing(image.parent_path() / candidate); !p.empty()) return p;
-    return {};
-}
-
-fs::path ignore_mask_file(const View& view, const fs::path& scene, const MaskOptions& options) {
-    const fs::path folder = options.ignore_masks.empty() ? scene / "ignore" : in_scene(options.ignore_masks, scene);
-    return fs::is_directory(folder) ? mask_in_folder(folder, view) : fs::path();
+    return made;
 }
 
 struct Made {
@@ -216,7 +104,7 @@ struct Made {
 
 /// The mask of one view; `edited` (or empty) is one that the user changed: it replaces the coverage, undistorted
 /// as it is, and what is to be ignored stays.
-Made make_one(const View& view, const fs::path& scene, const MaskOptions& options, const fs::path& edited) {
+Made make_one(const View& view, const fs::path& scene, const MaskOptions& options, const fs::path& edited, Progress& progress) {
     Made out;
     const Intrinsics& k = view.camera.intrinsics;
     const auto check_size = [&](const Image8& image, const fs::path& path, const char* what) {
@@ -252,9 +140,30 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
     } else {
         const Image8 image = io::read_image8(view.image_path);
         check_size(image, view.image_path, "the image");
+        const auto photo = [&](const char* what) {
+            if (image.channels < 3) throw InputError(view.image_path.string() + ": is grey; " + what + " wants colour. Remedy: --mask threshold");
+            out.origin = what + (" of " + view.image_path.string());
+            return image.view();
+        };
         if (method == MaskMethod::Threshold) {
-            mask = threshold_mask(image, options.threshold);
+            mask = threshold_mask(image, options.threshold, options.clean_up);
             out.origin = "threshold of " + view.image_path.string();
+        } else if (method == MaskMethod::Chroma) {
+            mask = chroma_mask(photo("chroma key"), options.chroma, options.clean_up);
+        } else if (method == MaskMethod::CleanPlate) {
+            const fs::path file = plate_file(view, scene, options);
+            const Image8 plate = io::read_image8(file);
+            check_size(plate, file, "the clean plate");
+            if (plate.channels < 3) throw InputError(file.string() + ": is grey; a clean plate in colour is wanted");
+            mask = plate_mask(photo("difference from the clean plate"), plate, options.plate, options.clean_up);
+        } else if (method == MaskMethod::GrabCut) {
+            const Image8 seed = options.grabcut.from_threshold ? seed_of_mask(threshold_mask(image, options.threshold, options.clean_up).coverage, 0.02 * std::min(image.width, image.height)) : seed_of_box(image.width, image.height, options.grabcut.box_px);
+            mask = grabcut_mask(photo("GrabCut"), seed, options.grabcut, options.clean_up);
+        } else if (method == MaskMethod::Command) {
+            mask.coverage = mask_of_command(view, options, progress);
+            check_size(mask.coverage, view.image_path, "what --mask-command made");
+            refuse_class_numbers(mask.coverage, view.image_path);
+            out.origin = options.command + " on " + view.image_path.string();
         } else {
             bool varies = false;
             if (image.channels == 4) {
@@ -329,17 +238,14 @@ Census census(const Mask& mask) {
 
 }  // namespace
 
-Mask threshold_mask(ImageView<uint8_t> photo, const ThresholdOptions& options) {
+Mask threshold_mask(ImageView<uint8_t> photo, const ThresholdOptions& options, const MaskCleanUp& cleaning) {
     Image8 channel = channel_of(photo, options.channel);
     double level = options.level;
     if (level < 0) level = otsu_level(histogram_of(channel), level == ThresholdOptions::kAuto);
     Mask out;
     out.coverage = soft_step(channel, level, options.invert);
-    cv::Mat binary = wrap(out.coverage) >= 128;
-    if (options.open_px > 0) cv::morphologyEx(binary, binary, cv::MORPH_OPEN, disc(options.open_px));
-    if (options.close_px > 0) cv::morphologyEx(binary, binary, cv::MORPH_CLOSE, disc(options.close_px));
-    if (options.largest_component) keep_largest(binary);
-    if (options.fill_holes > 0) fill_small_holes(binary, options.fill_holes);
+    cv::Mat binary = io::wrap(out.coverage.view()) >= 128;
+    clean_up(binary, cleaning);
     // Where the clean-up changed its mind the edge is hard; elsewhere it stays as soft as the photograph.
     for (int y = 0; y < binary.rows; ++y)
         for (int x = 0; x < binary.cols; ++x) {
@@ -355,6 +261,7 @@ std::vector<fs::path> mask_files(const View& view, const fs::path& scene, const 
     const bool want_folder = options.method == MaskMethod::Folder || options.method == MaskMethod::Auto;
     const fs::path object = want_folder ? object_mask_file(view, scene, options) : fs::path();
     out.push_back(object.empty() ? view.image_path : object);
+    if (options.method == MaskMethod::CleanPlate) out.push_back(plate_file(view, scene, options));
     if (const fs::path ignore = ignore_mask_file(view, scene, options); !ignore.empty()) out.push_back(ignore);
     return out;
 }
@@ -370,13 +277,24 @@ Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& g
         options.threshold.level = common_level(views, edited, options.threshold.channel);
         progress.note("threshold " + std::to_string(std::lround(options.threshold.level)) + " of 255, found from all photographs together");
     }
+    if (options.method == MaskMethod::Chroma && (!options.chroma.key_rgb || !(options.chroma.level > 0))) {
+        std::vector<fs::path> photos;
+        for (size_t i = 0; i < n; ++i)
+            if (i >= edited.size() || edited[i].empty()) photos.push_back(views.views[i].image_path);
+        find_chroma_key(photos, options.chroma);
+        const auto& key = *options.chroma.key_rgb;
+        progress.note(text_of("chroma key %d,%d,%d, object below %.2f of it%s", key[0], key[1], key[2], options.chroma.level, given.chroma.key_rgb ? "" : "; found at the photographs' borders"));
+    }
+    if (options.method == MaskMethod::CleanPlate && options.plate.plate.empty()) throw UsageError("--mask clean-plate: which? Remedy: --clean-plate FILE, or a folder with one of each view's name");
+    if (options.method == MaskMethod::Command) words_of_command(options.command);  // said before anything is done
     std::vector<Made> made(n);
     progress.begin("mask", n);
-    tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+    tbb::task_arena arena(options.method == MaskMethod::Command ? options.command_jobs : tbb::task_arena::automatic);
+    arena.execute([&] { tbb::parallel_for(size_t{0}, n, [&](size_t i) {
         const View& view = views.views[i];
-        made[i] = make_one(view, scene, options, i < edited.size() ? edited[i] : fs::path());
+        made[i] = make_one(view, scene, options, i < edited.size() ? edited[i] : fs::path(), progress);
         progress.step();
-    });
+    }); });
 
     std::map<std::string, std::string> taken;  // mask file -> view
     for (size_t i = 0; i < n; ++i) {
@@ -413,7 +331,7 @@ Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& g
     }
     if (!missing.empty() && !options.allow_missing)
         throw InputError(std::to_string(missing.size()) + " of " + std::to_string(n) + " views have no mask (" + reason + "): " + some_of(missing) +
-                         ". Remedy: --mask threshold, --masks DIR, or --allow-missing to leave such views out");
+                         ". Remedy: --mask threshold (or chroma, clean-plate, grabcut), --masks DIR, or --allow-missing to leave such views out");
     if (!empty.empty() && !options.allow_missing)
         throw InputError("empty mask (no object pixel) in " + std::to_string(empty.size()) + " of " + std::to_string(n) + " views: " + some_of(empty) +
                          ". It would carve everything away. Remedy: mend the mask, or --allow-missing to leave such views out");

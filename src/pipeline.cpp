@@ -101,7 +101,10 @@ class Job {
         const bool aligned_by_mat = o_.align.method == AlignMethod::Mat && o_.last_stage != LastStage::Mask;
         if (aligned_by_mat) stage("align", [&] { return align_views(); });
         if (!aligned_by_mat || o_.last_stage != LastStage::Align) stage("mask", [&] { return masks(); });
-        if (o_.last_stage == LastStage::Mask) return finish();
+        if (o_.last_stage == LastStage::Mask) {
+            if (!o_.dry_run) place_overlays();
+            return finish();
+        }
         if (!aligned_by_mat && (!views_.posed || o_.align_again)) stage("align", [&] { return align_views(); });
         if (o_.last_stage == LastStage::Align) {
             place_alignment();
@@ -168,7 +171,14 @@ class Job {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
         };
         need(o_.views.units.empty() || metres_per(o_.views.units), "--units " + o_.views.units + ": is none of m, cm, mm, km, inch, ft");
-        need(o_.mask.method == MaskMethod::Threshold || o_.mask.threshold == ThresholdOptions(), "--threshold and what shapes its masks (--threshold-channel, --mask-open …) are of --mask threshold");
+        const MaskOptions& m = o_.mask;
+        const bool by_threshold = m.method == MaskMethod::Threshold || (m.method == MaskMethod::GrabCut && m.grabcut.from_threshold);
+        need(by_threshold || m.threshold == ThresholdOptions(), "--threshold, --threshold-channel and --threshold-invert are of --mask threshold");
+        need(m.method == MaskMethod::Chroma || m.chroma == ChromaOptions(), "--chroma-key and --chroma-level are of --mask chroma");
+        need(m.method == MaskMethod::CleanPlate || m.plate == PlateOptions(), "--clean-plate and --plate-… are of --mask clean-plate");
+        need(m.method == MaskMethod::GrabCut || m.grabcut == GrabCutOptions(), "--grabcut-… is of --mask grabcut");
+        const bool from_photographs = by_threshold || m.method == MaskMethod::Chroma || m.method == MaskMethod::CleanPlate || m.method == MaskMethod::GrabCut;
+        need(from_photographs || m.clean_up == MaskCleanUp(), "--mask-open, --mask-close, --mask-fill-holes and --mask-all-components are of masks made from photographs (--mask threshold, chroma, clean-plate, grabcut)");
         need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
         need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
         need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
@@ -290,8 +300,13 @@ class Job {
         const MaskOptions& m = o_.mask;
         Sha256 h;
         h.add("mask").add_value(kCodeVersion).add_value(m.method).add_value(m.invert).add_value(m.allow_missing);
-        h.add_value(m.threshold.level).add_value(m.threshold.channel).add_value(m.threshold.invert).add_value(m.threshold.open_px);
-        h.add_value(m.threshold.close_px).add_value(m.threshold.largest_component).add_value(m.threshold.fill_holes);
+        h.add_value(m.threshold.level).add_value(m.threshold.channel).add_value(m.threshold.invert);
+        h.add_value(m.clean_up.open_px).add_value(m.clean_up.close_px).add_value(m.clean_up.largest_component).add_value(m.clean_up.fill_holes);
+        h.add_value(m.chroma.key_rgb.has_value()).add_value(m.grabcut.box_px.has_value()).add_value(m.chroma.level);
+        for (const uint8_t c : m.chroma.key_rgb.value_or(std::array<uint8_t, 3>{})) h.add_value(c);
+        for (const int x : m.grabcut.box_px.value_or(std::array<int, 4>{})) h.add_value(x);
+        h.add_value(m.plate.level).add_value(m.plate.shadows);
+        h.add_value(m.grabcut.from_threshold).add_value(m.grabcut.iterations).add(m.command);
         for (size_t i = 0; i < n; ++i) {
             const View& v = views_.views[i];
             h.add(v.name).add(file_hashes[i]).add_value(v.lens.model).add_value(!edited[i].empty());
@@ -319,7 +334,9 @@ class Job {
             warn_again(note);
         } else {
             const size_t warnings_before = progress_.warnings().size();
-            masks_ = make_masks(views_, o_.views.scene, o_.mask, edited, progress_);
+            MaskOptions cached = o_.mask;
+            if (!o_.dry_run) cached.cache = o_.output / "stages" / "mask_command";
+            masks_ = make_masks(views_, o_.views.scene, cached, edited, progress_);
             if (!o_.dry_run) {
                 const fs::path part = o_.output / "stages" / ".masks.part";
                 fs::remove_all(part);
@@ -1559,6 +1576,31 @@ class Job {
         report_["silhouette_iou"] = {{"median", median_iou_}, {"minimum", minimum_iou_}};
     }
 
+    /// The photograph without its lens's distortion, or nothing.
+    Image8 photo_to_show(const View& v) {
+        if (v.image_path.empty()) return {};
+        try {
+            const Image8 photo = io::read_image8(v.image_path);
+            return v.lens.distorts() ? io::undistort(photo, v.camera.intrinsics, v.lens, nullptr) : photo;
+        } catch (const InputError& e) {
+            progress_.warn(std::string(e.what()) + "; the preview shows it black");  // carving needed its mask only
+            return {};
+        }
+    }
+
+    /// Every mask over its photograph, to be looked at.
+    void place_overlays() {
+        make_folder(o_.output / "overlays");
+        tbb::parallel_for(size_t{0}, used_.size(), [&](size_t u) {
+            const size_t i = used_[u];
+            const auto png = io::encode_png(mask_overlay(photo_to_show(views_.views[i]), masks_.masks[i]));
+            const fs::path file = o_.output / "overlays" / mask_names_[i];
+            make_folder(file.parent_path());
+            write_file(file, png.data(), png.size());
+        });
+        progress_.note((o_.output / "overlays").string() + " shows the masks over their photographs");
+    }
+
     /// Views spread evenly.
     void preview() {
         std::vector<size_t> which;
@@ -1578,16 +1620,7 @@ class Job {
             tiles[s].mask = masks_.masks[i].coverage;
             tiles[s].thin_lost = agreement_[i].thin_lost;
             tiles[s].missed_blob = agreement_[i].missed_blob;
-            if (v.image_path.empty()) return;
-            Image8 photo;
-            try {
-                photo = io::read_image8(v.image_path);
-            } catch (const InputError& e) {
-                progress_.warn(std::string(e.what()) + "; the preview shows it black");  // carving needed its mask only
-                return;
-            }
-            if (v.lens.distorts()) photo = io::undistort(photo, v.camera.intrinsics, v.lens, nullptr);
-            tiles[s].photo = std::move(photo);
+            tiles[s].photo = photo_to_show(v);
         });
         Image8 sheet = preview_sheet(mesh_, tiles);
         if (!views_.unverified.empty()) io::stamp(sheet, "UNVERIFIED");

@@ -460,14 +460,31 @@ Room room_of(const Rig& rig, double azimuth_rad, const Mat3d& side_from_scene) {
     return place;
 }
 
-Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface& surface, const PhotoLook& look, const Room& place, double exposure) {
+/// How the lamps of one photograph differ from what they are meant to be.
+struct Lamps {
+    Vec3d gain = Vec3d::Ones();
+    double across = 0;  ///< more light at the right border than in the middle, as a share; as much less at the left one
+
+    /// Of photograph i of n.
+    static Lamps wandering(double drift, size_t i, size_t n, double exposure) {
+        Lamps out;
+        const double passed = 2 * kPi * static_cast<double>(i) / static_cast<double>(n);
+        for (int c = 0; c < 3; ++c) out.gain[c] = exposure * (1 + drift * std::sin(1.3 * passed + 0.4 * c + 0.5));
+        out.across = 0.5 * drift * std::sin(0.7 * passed + 2);
+        return out;
+    }
+};
+
+/// Without `surface` a clean plate: the object and its shadow are not there.
+Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface* surface, const PhotoLook& look, const Room& place, const Lamps& lamps) {
     const Intrinsics& k = camera.intrinsics;
     Image8 out(k.width_px, k.height_px, 3);
     const Vec3d key = place.key();
     const double foot = look.table ? object.lowest(place.up_scene) : 0;
     const auto shade = [&](const SurfacePoint& p, const Vec3d& to_eye) {
         const double highlight = look.gloss > 0 && p.normal.dot(key) > 0 ? look.gloss * std::pow(std::max(0.0, p.normal.dot((key + to_eye).normalized())), 60) : 0;
-        return Vec3d(place.diffuse(p.normal, look) * object.albedo_at(p) + Vec3d::Constant(highlight));
+        const Vec3d spilt = look.backdrop ? Vec3d(look.spill * std::pow(1 - std::max(0.0, p.normal.dot(to_eye)), 2) * *look.backdrop) : Vec3d::Zero();
+        return Vec3d(place.diffuse(p.normal, look) * object.albedo_at(p) + Vec3d::Constant(highlight) + spilt);
     };
     // What a ray sees past the object: the room, or the table with the object's shadow and reflection.
     const auto beyond = [&](const Camera::Ray& ray) -> Vec3d {
@@ -479,19 +496,22 @@ Image8 photograph(const Object& object, const Camera& camera, const Image8& cove
                 const Vec3d lifted = p + 1e-4 * object.radius() * place.up_scene;
                 const double grain = noise(8 * (place.room_from_scene * from_middle) / object.radius());
                 Vec3d wood = (0.5 + 0.3 * grain) * Vec3d(0.45, 0.33, 0.22);
-                if (object.hit({lifted, key})) wood *= 0.35;
-                if (look.table_reflection > 0)
+                if (surface && object.hit({lifted, key})) wood *= 0.35;
+                if (surface && look.table_reflection > 0)
                     if (const auto t = object.hit({lifted, (ray.direction - 2 * down * place.up_scene).normalized()}))
                         wood = (1 - look.table_reflection) * wood + look.table_reflection * 0.7 * albedo((lifted + *t * (ray.direction - 2 * down * place.up_scene) - object.centre()) / object.radius());
                 return wood;
             }
         }
-        return room(place.room_from_scene * ray.direction);
+        const Vec3d towards = place.room_from_scene * ray.direction;
+        // Folds, and light that falls off to the sides.
+        if (look.backdrop) return (0.75 + 0.35 * noise(3 * towards) + 0.1 * towards.x()) * *look.backdrop;
+        return room(towards);
     };
     for (int y = 0; y < k.height_px; ++y)
         for (int x = 0; x < k.width_px; ++x) {
             const Camera::Ray ray = camera.ray({x + 0.5, y + 0.5});
-            const double alpha = coverage.at(x, y) / 255.0;
+            const double alpha = surface ? coverage.at(x, y) / 255.0 : 0;
             Vec3d light = alpha < 1 ? beyond(ray) : Vec3d::Zero().eval();
             if (alpha > 0) {
                 // A pixel that is partly covered but whose centre sees past takes a neighbour's surface.
@@ -499,7 +519,7 @@ Image8 photograph(const Object& object, const Camera& camera, const Image8& cove
                 for (const auto& [dx, dy] : {std::pair{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}, {-1, 1}, {1, -1}, {-1, -1}}) {
                     const int nx = x + dx, ny = y + dy;
                     if (nx < 0 || ny < 0 || nx >= k.width_px || ny >= k.height_px) continue;
-                    const auto& s = surface[static_cast<size_t>(ny) * static_cast<size_t>(k.width_px) + static_cast<size_t>(nx)];
+                    const auto& s = (*surface)[static_cast<size_t>(ny) * static_cast<size_t>(k.width_px) + static_cast<size_t>(nx)];
                     if (s) {
                         point = &*s;
                         break;
@@ -507,7 +527,8 @@ Image8 photograph(const Object& object, const Camera& camera, const Image8& cove
                 }
                 if (point) light = (1 - alpha) * light + alpha * shade(*point, -ray.direction);
             }
-            for (int c = 0; c < 3; ++c) out.at(x, y, c) = srgb8_from_linear(exposure * light[c]);
+            const double here = 1 + lamps.across * (2 * (x + 0.5) / k.width_px - 1);
+            for (int c = 0; c < 3; ++c) out.at(x, y, c) = srgb8_from_linear(here * lamps.gain[c] * light[c]);
         }
     return out;
 }
@@ -714,6 +735,7 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     scene.masks.resize(where.size());
     if (spec.damage.any()) scene.true_masks.resize(where.size());
     if (spec.photos) scene.photos.resize(where.size());
+    if (spec.photos && spec.look.plates) scene.plates.resize(where.size());
     progress.begin("synth", where.size());
     tbb::parallel_for(size_t{0}, where.size(), [&](size_t i) {
         // With a lens the picture is taken without it first, with room around, and then bent.
@@ -726,20 +748,30 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         // A mesh's masks come from its own rasteriser.
         const Object::Surface surface = spec.photos || !spec.solids.empty() ? object.surface(camera, spec.photos) : Object::Surface();
         Image8 mask = object.coverage(camera, surface);
-        Image8 photo;
+        Image8 photo, plate;
         if (spec.photos) {
             const Mat3d side_from_scene = in_second(i) ? Mat3d(scene_from_side.rotation.transpose()) : Mat3d(Mat3d::Identity());
-            photo = photograph(object, camera, mask, surface, spec.look, room_of(rig, azimuths[i], side_from_scene), scene.exposures[i]);
+            const Room place = room_of(rig, azimuths[i], side_from_scene);
+            photo = photograph(object, camera, mask, &surface, spec.look, place, Lamps::wandering(spec.look.light_drift, i, where.size(), scene.exposures[i]));
+            if (spec.look.plates) plate = photograph(object, camera, mask, nullptr, spec.look, place, {});
         }
         if (margin > 0) {
             const Intrinsics& own = cameras[i].intrinsics;
             mask = io::distort(mask, margin, own, rig.lens);
-            if (spec.photos) photo = io::distort(photo, margin, own, rig.lens);
+            for (Image8* picture : {&photo, &plate})
+                if (!picture->empty()) *picture = io::distort(*picture, margin, own, rig.lens);
         }
+        const auto expose = [&](Image8& picture, uint64_t seed) {
+            if (spec.look.blur_px > 0) picture = io::blurred(picture, spec.look.blur_px);
+            if (spec.look.noise > 0) add_sensor_noise(picture, spec.look.noise, seed);
+        };
         if (spec.photos) {
-            if (spec.look.blur_px > 0) photo = io::blurred(photo, spec.look.blur_px);
-            if (spec.look.noise > 0) add_sensor_noise(photo, spec.look.noise, spec.seed * 7919 + i);
+            expose(photo, spec.seed * 7919 + i);
             scene.photos[i] = std::move(photo);
+        }
+        if (!plate.empty()) {
+            expose(plate, spec.seed * 6007 + i);
+            scene.plates[i] = std::move(plate);
         }
         if (spec.damage.any()) {
             scene.true_masks[i].coverage = mask;

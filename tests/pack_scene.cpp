@@ -29,7 +29,7 @@ int main(int argc, char** argv) {
             } else if (std::string(argv[n]) == "--threshold" && n + 2 < argc) {
                 mask.method = MaskMethod::Threshold;
                 mask.threshold.level = std::stod(argv[++n]);
-                mask.threshold.close_px = std::stoi(argv[++n]);
+                mask.clean_up.close_px = std::stoi(argv[++n]);
             }
         }
         const Views views = load_views(options, quiet);

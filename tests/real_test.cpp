@@ -21,7 +21,7 @@ void PrintTo(const Set& s, std::ostream* out) { *out << s.name; }
 void threshold(ReconstructOptions& o, double level, int close_px) {
     o.mask.method = MaskMethod::Threshold;
     o.mask.threshold.level = level;
-    o.mask.threshold.close_px = close_px;
+    o.mask.clean_up.close_px = close_px;
 }
 
 class Real : public testing::TestWithParam<Set> {};

@@ -140,7 +140,8 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
     app->add_option("--images", views.images, "folder of photographs")->group("Scene");
     app->add_option("--cameras", views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices")->group("Scene");
     app->add_option("--masks", mask.masks, "folder of masks (white = object)")->group("Scene");
-    add_choice<MaskMethod>(*app, "--mask", mask.method, {{"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}}, "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold")
+    add_choice<MaskMethod>(*app, "--mask", mask.method, {{"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}, {"chroma", MaskMethod::Chroma}, {"clean-plate", MaskMethod::CleanPlate}, {"grabcut", MaskMethod::GrabCut}},
+                           "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold, chroma (a coloured cloth behind), clean-plate (photographs without the object), grabcut (colours, from a box)")
         ->group("Masks");
     app->add_option("--mask-pattern", mask.pattern, "mask files by name, like '{stem}_m.png'")->group("Masks");
     app->add_option("--ignore-masks", mask.ignore_masks, "folder of masks of what neither carves nor confirms")->group("Masks");
@@ -156,13 +157,44 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
     add_choice<MaskChannel>(*app, "--threshold-channel", mask.threshold.channel, {{"brightness", MaskChannel::Brightness}, {"saturation", MaskChannel::Saturation}, {"red", MaskChannel::Red}, {"green", MaskChannel::Green}, {"blue", MaskChannel::Blue}}, "brightness (largest of R, G, B), saturation, red, green or blue")
         ->group("Masks");
     app->add_flag("--threshold-invert", mask.threshold.invert, "the object is what is darker")->group("Masks");
-    app->add_option("--mask-open", mask.threshold.open_px, "opening of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
-    app->add_option("--mask-close", mask.threshold.close_px, "closing of threshold masks, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
-    app->add_option("--mask-fill-holes", mask.threshold.fill_holes, "fill holes up to this share of the object's area (1: all)")
+    app->add_option_function<std::string>("--chroma-key", [&mask](const std::string& text) {
+            std::array<uint8_t, 3> key{};
+            if (text.size() == 7 && text[0] == '#' && text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos) {
+                for (size_t k = 0; k < 3; ++k) key[k] = static_cast<uint8_t>(std::stoi(text.substr(1 + 2 * k, 2), nullptr, 16));
+            } else {
+                const auto c = numbers("--chroma-key", text, 3);
+                for (size_t k = 0; k < 3; ++k) {
+                    if (!(c[k] >= 0 && c[k] <= 255)) throw UsageError("--chroma-key " + text + ": must be R,G,B within 0..255, or #rrggbb");
+                    key[k] = static_cast<uint8_t>(std::lround(c[k]));
+                }
+            }
+            mask.chroma.key_rgb = key;
+        }, "R,G,B (0..255) or #rrggbb of the cloth (default: what the photographs' borders mostly have)")->group("Masks");
+    app->add_option("--chroma-level", mask.chroma.level, "object where less than this share of the key is (default: found, 0.3..0.7)")->check(CLI::Range(0.01, 0.99))->group("Masks");
+    app->add_option_function<std::string>("--clean-plate", [&mask](const std::string& text) {
+            mask.plate.plate = text;
+            mask.method = MaskMethod::CleanPlate;
+        }, "photograph of the background alone, or a folder with one of each view's name; implies --mask clean-plate")->group("Masks");
+    app->add_option("--plate-level", mask.plate.level, "object where the difference is more than so many standard deviations")->capture_default_str()->check(CLI::Range(1.0, 100.0))->group("Masks");
+    app->add_flag_function("--plate-keep-shadows", [&mask](int64_t count) { mask.plate.shadows = count <= 0; }, "what is the plate's colour, only darker, counts as object too")->group("Masks");
+    app->add_option_function<std::string>("--grabcut-box", [&mask](const std::string& text) {
+            const auto b = numbers("--grabcut-box", text, 4);
+            mask.grabcut.box_px = std::array<int, 4>{static_cast<int>(b[0]), static_cast<int>(b[1]), static_cast<int>(b[2]), static_cast<int>(b[3])};
+            if (!(b[2] > b[0] && b[3] > b[1])) throw UsageError("--grabcut-box " + text + ": must be x0,y0,x1,y1 with x1 > x0 and y1 > y0, pixels");
+        }, "x0,y0,x1,y1: pixels that hold the object in every view (default: all but a border)")->group("Masks");
+    app->add_flag("--grabcut-from-threshold", mask.grabcut.from_threshold, "start from the mask of --threshold instead of a box")->group("Masks");
+    app->add_option_function<std::string>("--mask-command", [&mask](const std::string& text) {
+            mask.command = text;
+            mask.method = MaskMethod::Command;
+        }, "'tool {in} {out}': a program that makes the mask of a photograph (a PNG, white or opaque where the object is); run without a shell, its masks are kept")->group("Masks");
+    app->add_option("--mask-command-jobs", mask.command_jobs, "commands at a time")->capture_default_str()->check(CLI::Range(1, 256))->group("Masks");
+    app->add_option("--mask-open", mask.clean_up.open_px, "opening of masks made from photographs, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-close", mask.clean_up.close_px, "closing of masks made from photographs, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
+    app->add_option("--mask-fill-holes", mask.clean_up.fill_holes, "fill holes up to this share of the object's area (1: all)")
         ->capture_default_str()
         ->check(CLI::Range(0.0, 1.0))
         ->group("Masks");
-    app->add_flag_function("--mask-all-components", [&mask](int64_t count) { mask.threshold.largest_component = count <= 0; }, "keep every piece of a threshold mask, not only the largest")->group("Masks");
+    app->add_flag_function("--mask-all-components", [&mask](int64_t count) { mask.clean_up.largest_component = count <= 0; }, "keep every piece of a mask made from a photograph, not only the largest")->group("Masks");
 
     add_choice<PixelCentre>(*app, "--pixel-centre", views.pixel_centre, {{"corner", PixelCentre::Corner}, {"integer", PixelCentre::Integer}}, "centre of the first pixel: corner (0.5, 0.5) or integer (0, 0); default: the camera format's own")
         ->group("Scene");
@@ -342,7 +374,13 @@ Command add_align(CLI::App& program) {
                "  vdbcarve reconstruct photos --cameras aligned/cameras.json -o out        goes on from there\n"
                "Of cameras that the scene has already, refine takes everything, mat the lens where it is known, the others focal lengths, principal points and lenses only.");
 }
-Command add_mask(CLI::App& program) { return add(program, "mask", "only the masks, into OUT/masks", LastStage::Mask, "Example: vdbcarve mask dino --mask threshold --threshold 25 -o masks"); }
+Command add_mask(CLI::App& program) { return add(program, "mask", "only the masks, into OUT/masks", LastStage::Mask, "Examples:\n"
+                                           "  vdbcarve mask dino --mask threshold --threshold 25 -o masks                          before black\n"
+                                           "  vdbcarve mask toy --mask chroma -o masks                                             before a coloured cloth; --chroma-key where the borders do not show it\n"
+                                           "  vdbcarve mask toy --clean-plate empty.jpg -o masks                                   a camera that stood still, and a photograph without the object\n"
+                                           "  vdbcarve mask toy --mask grabcut --grabcut-box 200,50,900,700 -o masks               anything else that differs in colour\n"
+                                           "  vdbcarve mask toy --mask-command 'rembg i {in} {out}' -o masks                       another program's, here one that has learnt what objects are\n"
+                                           "OUT/overlays shows what each mask leaves out (red). A mask in OUT/masks that you mend is used from then on."); }
 Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve, "Example: vdbcarve carve shoot --resolution 512 -o hull"); }
 
 }  // namespace vdbcarve::cli

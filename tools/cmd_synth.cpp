@@ -20,9 +20,9 @@ struct Raw {
     std::string motion, lens;
     std::optional<double> elevation, start, arc, speed, breathing, crop_drift, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius, mask_share;
     std::optional<int> sittings, jpeg, holes, blobs;
-    bool table = false, exif = false, flat = false;
-    std::optional<double> exposure_jitter;
-    std::string texture;
+    bool table = false, exif = false, flat = false, plates = false;
+    std::optional<double> exposure_jitter, light_drift, spill;
+    std::string texture, backdrop;
 };
 
 SyntheticSpec spec_of(const Raw& raw) {
@@ -77,6 +77,13 @@ SyntheticSpec spec_of(const Raw& raw) {
     if (!raw.texture.empty()) spec.texture = read_texture(raw.texture);
     set(look.gloss, raw.gloss);
     set(look.exposure_jitter, raw.exposure_jitter);
+    set(look.light_drift, raw.light_drift);
+    set(look.spill, raw.spill);
+    if (!raw.backdrop.empty()) {
+        const auto c = numbers("--backdrop", raw.backdrop, 3);
+        look.backdrop = Vec3d(c[0], c[1], c[2]);
+    }
+    look.plates = look.plates || raw.plates;
     look.flat = look.flat || raw.flat;
     set(look.blur_px, raw.blur);
     set(look.noise, raw.noise);
@@ -127,6 +134,10 @@ Command add_synth(CLI::App& program) {
     app->add_flag("--exif", raw->exif, ".jpg with the focal length in EXIF")->group("Camera");
     app->add_option("--texture", raw->texture, "picture for a mesh with texture coordinates (.obj)")->group("Light");
     app->add_option("--exposure-jitter", raw->exposure_jitter, "photographs' exposures are off by up to this share")->check(CLI::Range(0.0, 0.9))->group("Light");
+    app->add_option("--backdrop", raw->backdrop, "r,g,b: a cloth of this colour (linear, 0..1) behind everything, unevenly lit")->group("Light");
+    app->add_option("--spill", raw->spill, "share of the cloth's light on the object's rim")->check(CLI::Range(0.0, 1.0))->group("Light");
+    app->add_option("--light-drift", raw->light_drift, "lamps wander by up to this share, colour and side too")->check(CLI::Range(0.0, 0.9))->group("Light");
+    app->add_flag("--plates", raw->plates, "the photographs again without the object, into plates/")->group("Light");
     app->add_flag("--flat", raw->flat, "no lamps: the object's own colours")->group("Light");
     app->add_option("--gloss", raw->gloss, "strength of highlights, 0..1")->check(CLI::Range(0.0, 1.0))->group("Light");
     app->add_flag("--table", raw->table, "a table under the object, with its shadow and reflection")->group("Light");

@@ -71,4 +71,7 @@ struct PreviewView {
 };
 Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views);
 
+/// A mask over its photograph (which may be empty), at most 1024 pixels wide: what is left out reddish, what is ignored bluish, the silhouette's edge green.
+Image8 mask_overlay(ImageView<uint8_t> photo, const Mask& mask);
+
 }  // namespace vdbcarve

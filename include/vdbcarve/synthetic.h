@@ -79,6 +79,10 @@ struct PhotoLook {
     int jpeg_quality = 0;      ///< 1..100: .jpg files; 0: .png
     bool exif = false;         ///< .jpg files say the focal length
     double exposure_jitter = 0;  ///< every photograph's exposure is off by a factor within 1 plus and minus this
+    double light_drift = 0;    ///< lamps wander from photograph to photograph: every channel's light by up to this share, and half of that from one side of the frame to the other
+    std::optional<Vec3d> backdrop;  ///< linear RGB of a cloth behind everything, unevenly lit; none: a room
+    double spill = 0;          ///< share of the cloth's light that the object's rim sends on
+    bool plates = false;       ///< everything again without the object (clean plates), under lamps that do not wander
     bool flat = false;         ///< no lamps: the object's colour is the photographs' wherever it is seen from
 };
 
@@ -111,6 +115,7 @@ struct SyntheticScene {
     std::vector<Mask> masks;
     std::vector<Mask> true_masks;    ///< before MaskDamage; empty without
     std::vector<Image8> photos;      ///< sRGB; empty without SyntheticSpec::photos
+    std::vector<Image8> plates;      ///< of PhotoLook::plates
     std::vector<double> exposures;   ///< factors on linear light, of PhotoLook::exposure_jitter
     PhotoLook look;                  ///< for the files' format
     Mesh truth;                      ///< with the colours of surface_colors()
@@ -136,7 +141,7 @@ std::vector<TrueColor> surface_colors(const SyntheticSpec& spec, const std::vect
 /// Same spec and seed, same bytes.
 SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress);
 
-/// Writes images/, masks/ (and masks_true/ where masks were damaged), transforms.json (true cameras), transforms_nominal.json and truth.ply.
+/// Writes images/, masks/ (and masks_true/ where masks were damaged, plates/ where there are clean plates), transforms.json (true cameras), transforms_nominal.json and truth.ply.
 void write_scene(const SyntheticScene& scene, const std::filesystem::path& folder);
 
 }  // namespace vdbcarve
