@@ -16,6 +16,7 @@
 #include "align_scale.h"
 #include "coarse_hull.h"
 #include "feature_tracks.h"
+#include "mask_consensus.h"
 #include "paper/align_paper.h"
 #include "ring_aligner.h"
 #include "statistics.h"
@@ -28,7 +29,8 @@ namespace vdbcarve {
 
 namespace {
 
-constexpr size_t kFewViews = 12;
+constexpr size_t kLeastVoters = 12;   ///< silhouettes, for one to be outvoted by the rest
+constexpr size_t kFewViews = 12;      ///< fewer may leave angles open by degrees without any of the tests noticing
 constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's is no lens but a flight from perspective
 
 /// Everything that is known about an alignment, once cameras are found.
@@ -400,36 +402,21 @@ class Alignment {
     /// of that one.
     void name_holes() {
         const std::vector<size_t>& seen = silhouettes_.seen();
-        if (seen.size() < 12 || c_.rms_px() > 0.01 * silhouettes_.size_px()) return;
+        if (seen.size() < kLeastVoters || c_.rms_px() > 0.01 * silhouettes_.size_px()) return;
         const std::vector<MaskView> trusted = trusted_masks(out_, masks_);
-        const std::vector<Camera> cameras = with_cameras(given_, c_.fit.model).cameras();
         Progress quiet;
-        Mesh kept;
+        std::vector<Consensus> said;
         try {
-            kept = extract_mesh(*coarse_hull(given_.names(), cameras, trusted, 96, 0.6, quiet, 1), {}, quiet);
+            said = consensus_of(given_.names(), with_cameras(given_, c_.fit.model).cameras(), trusted, trusted, 1, quiet);
         } catch (const Interrupted&) {
             throw;
         } catch (const Error&) {
-            return;  // there is none, or it has no bounds; other tests say why
+            return;  // there is no hull, or it has no bounds; other tests say why
         }
-        // Without one view the hull bulges between its neighbours, the more the farther they are apart: a round object of radius R by R (1 / cos(step) - 1).
-        const double step_rad = 2 * std::numbers::pi / static_cast<double>(seen.size());
-        const double deep_px = silhouettes_.size_px() * (0.03 + 0.75 * (1 / std::cos(step_rad) - 1)), factor = std::min(1.0, 250 / silhouettes_.size_px());
-        const int scale = aligner_.middle().scale;
-        const std::vector<CoherenceView> fields = silhouettes_.at_scale(scale);
-        std::vector<double> deep_area(seen.size(), 0);
-        tbb::parallel_for(size_t{0}, seen.size(), [&](size_t s) {
-            const CoherenceView& view = fields[seen[s]];
-            if (!view.field) return;
-            const Image8 hit = silhouette_of(kept, scaled(cameras[seen[s]], factor));
-            for (int y = 0; y < hit.height; ++y)
-                for (int x = 0; x < hit.width; ++x)
-                    if (hit.at(x, y) && distance_px(view.field->silhouette.view(), scale, (x + 0.5) / factor, (y + 0.5) / factor) > deep_px) deep_area[s] += 1;
-        });
         std::vector<size_t> holed;
-        for (size_t s = 0; s < seen.size(); ++s) {
-            if (deep_area[s] > 0) aligner_.trace("%zu carves alone: %.0f of 250 x 250", seen[s], deep_area[s]);
-            if (deep_area[s] >= 25) holed.push_back(seen[s]);
+        for (size_t i : seen) {
+            if (said[i].carved_px > 0) aligner_.trace("%zu carves alone: %.0f of 250 x 250", i, said[i].carved_px);
+            if (said[i].carved_px >= Consensus::kLeast_px) holed.push_back(i);
         }
         if (holed.empty()) return;
         if (4 * holed.size() > seen.size()) {  // no mistake of single ones
@@ -565,8 +552,7 @@ class Alignment {
         out_.orbit = c_.orbit;
         out_.direction = c_.turn;
         double sum = 0, coherent = 0;
-        std::vector<size_t> judged_by = silhouettes_.good();
-        if (judged_by.empty()) judged_by = silhouettes_.seen();
+        const std::vector<size_t> judged_by = silhouettes_.good();
         for (size_t i : judged_by) sum += square(out_.aligned[i].residual_px), coherent += out_.aligned[i].coherent;
         const auto good = static_cast<double>(judged_by.size());
         out_.rms_px = std::sqrt(sum / good);
@@ -592,7 +578,7 @@ class Alignment {
         out_.views = with_cameras(given_, m);
         for (size_t i = 0; i < given_.views.size(); ++i)
             if (silhouettes_.bad(i)) out_.views.views[i].unused = "its silhouette contradicts the others'";
-            else if (masks_[i].coverage.empty()) out_.views.views[i].unused = "it has no silhouette: its camera was not found";
+            else if (o_.method != AlignMethod::Refine && std::find(silhouettes_.seen().begin(), silhouettes_.seen().end(), i) == silhouettes_.seen().end()) out_.views.views[i].unused = "it has no silhouette: its camera was not found";
         if (!sitting_of_.empty()) set_sittings(out_.views, m, sitting_of_);
         const Similarity& to_ring = world_from_given_;
         if (o_.method == AlignMethod::Refine) {
@@ -621,8 +607,7 @@ class Alignment {
     void judge() {
         // A pixel for an object of 300: what masks of that size are usually off by, unless these are seen to be rougher.
         const double allowed_px = std::max({0.3, silhouettes_.size_px() / 300, 1.5 * out_.mask_noise_px});
-        // Cameras for which next to nothing was in the others' frames would fit anything.
-        // Of cameras that do not fit, the other findings are consequences.
+        // Cameras for which next to nothing was in the others' frames would fit anything. Of those that do not fit, the other findings are consequences.
         const bool fits = out_.rms_px <= allowed_px && !out_.touches_world.empty();
         if (!fits)
             out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may; farthest those of %s. %s", out_.rms_px, allowed_px, some_of(worst_views()).c_str(), why_not().c_str()));
@@ -630,11 +615,11 @@ class Alignment {
         std::erase_if(bad, [&](size_t i) { return !silhouettes_.bad(i); });
         if (!bad.empty())
             out_.warnings.push_back(text_of("%s: they contradict the others, so cameras were found without them and they are neither carved with nor coloured from: %s. Remedy: look at their masks", counted(bad.size(), "silhouette").c_str(), some_of(names_of(bad)).c_str()));
-        if (6 * bad.size() >= silhouettes_.seen().size() && bad.size() > 1) out_.failures.push_back(text_of("%zu of %zu silhouettes contradict the others: which ones are wrong cannot be told", bad.size(), silhouettes_.seen().size()));
+        if (6 * bad.size() >= silhouettes_.seen().size() && bad.size() > 1) out_.failures.push_back(text_of("%zu of %zu silhouettes contradict the others: which ones are wrong cannot be told. Remedy: look at the masks; masks of one object, in the order in which it turned?", bad.size(), silhouettes_.seen().size()));
         const bool few = silhouettes_.seen().size() < kFewViews;
         if (!out_.angles_observable && o_.method == AlignMethod::Refine)
             out_.warnings.push_back(text_of("the silhouettes%s leave each view's angle open by %.1f degrees: the given cameras decide. Remedy: texture, or a marker mat", c_.fit.tracks ? " and the features" : "", out_.azimuth_spread_deg));
-        else if (!out_.angles_observable && few && c_.orbit != Orbit::Turntable)
+        else if (!out_.angles_observable && few && o_.orbit != Orbit::Turntable)
             out_.failures.push_back(text_of("%s leave each view's angle open by %.1f degrees; whether the shape depends on them cannot be told by so few. Remedy: two dozen photographs, or --orbit turntable, where the object was turned by known steps", counted(silhouettes_.seen().size(), "silhouette").c_str(), out_.azimuth_spread_deg));
         else if (!out_.angles_observable)
             out_.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "

@@ -476,6 +476,7 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         }
         pose.rotation = nearest_rotation(pose.rotation);
         v.sitting = "0";
+        v.unused.clear();
         const Vec3d centre = v.camera.centre_world();
         elevations.push_back(std::asin(centre.z() / centre.norm()) / kRadians);
         AlignedView a;

@@ -9,6 +9,7 @@
 #include <numbers>
 
 #include "coarse_hull.h"
+#include "mask_consensus.h"
 #include "orbit_model.h"
 #include "statistics.h"
 #include "text.h"
@@ -90,8 +91,8 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
     std::vector<Camera> cameras;
     for (size_t i = 0; i < views.views.size(); ++i) {
         view_names.push_back(views.views[i].name);
-        seen.push_back(view_of(masks.masks[i]));
-        if (masks.masks[i].coverage.empty()) continue;
+        seen.push_back(views.views[i].unused.empty() ? view_of(masks.masks[i]) : MaskView());  // as reconstruct does
+        if (seen.back().coverage.empty()) continue;
         used_names.push_back(view_names.back());
         cameras.push_back(all[i]);
         used.push_back(seen.back());
@@ -103,6 +104,9 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
         out.errors.push_back(e.what());
         return;
     }
+    std::vector<std::string> broken;
+    for (const size_t i : find_broken_masks(view_names, all, seen, progress)) broken.push_back(view_names[i]);
+    if (!broken.empty()) out.warnings.push_back(counted(broken.size(), "mask") + " against all others: " + some_of(broken) + ". Remedy: mend or delete what is wrong, or --repair-masks");
     out.agreements.resize(used.size());
     tbb::parallel_for(size_t{0}, used.size(), [&](size_t i) { out.agreements[i] = {used_names[i], compare_silhouettes(silhouette_of(mesh, cameras[i]), used[i])}; });
     std::vector<double> ious;
@@ -135,6 +139,12 @@ CheckResult check(const CheckOptions& options, Progress& progress) {
     if (options.cameras) check_cameras(views, out);
     if (options.masks && out.errors.empty()) check_masks(options, views, out, progress);
     for (const std::string& w : progress.warnings()) out.warnings.push_back(w);
+    for (const std::string& w : views.unverified) out.warnings.push_back("UNVERIFIED cameras: " + w);
+    std::vector<std::string> unused;
+    for (const View& v : views.views)
+        if (!v.unused.empty()) unused.push_back(v.name + " (" + v.unused + ")");
+    if (!unused.empty()) out.warnings.push_back(counted(unused.size(), "view") + " not used, as the camera file says: " + some_of(unused));
+    if (!views.unverified.empty()) out.exit_code = ExitCode::Undetermined;
     if (!out.errors.empty()) out.exit_code = ExitCode::Contradiction;
     return out;
 }

@@ -66,12 +66,14 @@ json scene_info(const fs::path& scene, const fs::path& cameras, Progress& progre
     out["up"] = views.up.empty() ? "unknown" : views.up;
     out["units"] = views.units.empty() ? "unknown" : views.units;
     out["metric"] = views.metric;
+    if (!views.unverified.empty()) out["unverified"] = views.unverified;
     if (const auto target = look_at_point(views.cameras())) out["look_at"] = {target->x(), target->y(), target->z()};
     for (const View& v : views.views) {
         const Intrinsics& k = v.camera.intrinsics;
         const Vec3d c = v.camera.centre_world();
         out["views"].push_back({{"name", v.name}, {"size", {k.width_px, k.height_px}}, {"focal_px", {k.fx, k.fy}}, {"principal_point_px", {k.cx, k.cy}},
                                 {"centre", {c.x(), c.y(), c.z()}}, {"distorted", v.lens.distorts()}});
+        if (!v.unused.empty()) out["views"].back()["unused"] = v.unused;
     }
     return out;
 }

@@ -19,6 +19,7 @@
 #include "coarse_hull.h"
 #include "io_cameras.h"
 #include "io_image.h"
+#include "mask_consensus.h"
 #include "memory.h"
 #include "same_transform.h"
 #include "mesh_store.h"
@@ -43,6 +44,7 @@ using nlohmann::json;
 namespace {
 
 constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
+constexpr const char* kWritten = ".written_by_vdbcarve.json";  ///< in masks/: what of it is ours
 constexpr const char* kUnverified = "unverified";  ///< folder of the result for cameras that align() does not stand behind
 
 json parse_or_empty(const fs::path& file) {
@@ -110,10 +112,12 @@ class Job {
             place_alignment();
             return finish();
         }
+        if (o_.mask.repair && !o_.dry_run) stage("repair", [&] { return repair(); });
         plan_key();
         const bool have_hull = hull_is_there();
         stage("distance", [&] {
             if (have_hull && !o_.dry_run) return true;  // the hull made from them is there
+            if (!o_.mask.repair && !o_.dry_run) warn_of_broken_masks();
             distances();
             return false;
         });
@@ -228,9 +232,17 @@ class Job {
     void load() {
         ViewsOptions wanted = o_.views;
         wanted.allow_unposed = true;
+        wanted.units.clear();
         views_ = load_views(wanted, progress_);
         if (!views_.posed && o_.align.method == AlignMethod::Refine) throw UsageError("--method refine improves cameras, and " + o_.views.scene.string() + " has none. Remedy: --cameras FILE, or --method coherence");
-        if ((!views_.posed || o_.align.method == AlignMethod::Mat) && o_.dry_run) throw UsageError("--dry-run: cameras are to be found first, and what is to be carved is known then. Remedy: vdbcarve align, then --cameras OUT/cameras.json");
+        const bool from_given_cameras = !finds_cameras() || o_.align.method == AlignMethod::Refine;
+        if (from_given_cameras && !o_.views.units.empty() && !views_.units.empty() && o_.views.units != views_.units)
+            progress_.warn("--units " + o_.views.units + ": " + views_.camera_file.string() + " says " + views_.units + "; its numbers are taken for " + o_.views.units + ", none is converted");
+        if (!o_.views.units.empty()) views_.units = o_.views.units;
+        std::error_code not_there;
+        if (!o_.dry_run && fs::equivalent(views_.camera_file.parent_path(), o_.output / kUnverified, not_there))
+            throw UsageError("--cameras " + views_.camera_file.string() + ": this run would write it anew, or take it away. Remedy: another -o");
+        if (finds_cameras() && o_.dry_run) throw UsageError("--dry-run: cameras are to be found first, and what is to be carved is known then. Remedy: vdbcarve align, then --cameras OUT/cameras.json");
         // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
         if (o_.align_again && views_.sittings.size() > 1) throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
         const bool mat = o_.align.method == AlignMethod::Mat;  // which says both
@@ -244,10 +256,9 @@ class Job {
                 throw UsageError("--units " + o_.views.units + ": cameras found from silhouettes know no scale, so their unit is arbitrary. Remedy: --known-height, --known-distance or --known-length, or a marker mat (--method mat)");
             if (o_.align.known_length) check_known_length(views_, {}, *o_.align.known_length);
         }
-        const bool find_again = o_.last_stage != LastStage::Mask && (!views_.posed || o_.align_again);
-        if (find_again && o_.align.method != AlignMethod::Refine && !o_.views.up.empty() && o_.views.up != "z")
+        if (finds_cameras() && o_.align.method != AlignMethod::Refine && !o_.views.up.empty() && o_.views.up != "z")
             throw UsageError("--up " + o_.views.up + ": cameras that are found have z up, along the axis (or out of the mat). Remedy: without it; --dcc turns results into another program's axes");
-        if (!find_again && o_.last_stage != LastStage::Mask && !views_.unverified.empty()) doubt(views_.unverified, views_.camera_file.string() + ": its cameras were found, but are UNVERIFIED");
+        if (!finds_cameras() && o_.last_stage != LastStage::Mask && !views_.unverified.empty()) doubt(views_.unverified, views_.camera_file.string() + ": its cameras were found, but are UNVERIFIED");
         if (views_.posed && o_.align_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
             progress_.note("of " + views_.camera_file.string() + " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
         if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
@@ -261,8 +272,9 @@ class Job {
         const size_t n = views_.views.size();
         mask_names_ = mask_names(views_);
         const fs::path folder = o_.output / "masks";
-        const json written = parse_or_empty(folder / ".written_by_vdbcarve.json");
-        std::vector<fs::path> edited(n);
+        const json written = parse_or_empty(folder / kWritten);
+        std::vector<fs::path>& edited = edited_;
+        edited.assign(n, {});
         for (size_t i = 0; i < n; ++i) {
             const fs::path file = folder / mask_names_[i];
             if (!written.contains(mask_names_[i]) || !fs::exists(file)) continue;
@@ -363,7 +375,7 @@ class Job {
                 fs::rename(part, stored);
             }
         }
-        if (!o_.dry_run) place_masks(stored, folder, written, edited);
+        if (!o_.dry_run) place_masks(stored);
         choose_used();
         return reused;
     }
@@ -371,13 +383,13 @@ class Job {
     /// Views with a mask, but for those that cameras.json or align() says not to use.
     void choose_used() {
         const std::set<size_t> without(masks_.left_out.begin(), masks_.left_out.end());
-        const bool to_be_found = !aligned_ && o_.last_stage != LastStage::Mask && (!views_.posed || o_.align_again);  // every silhouette is asked
+        const bool all = o_.last_stage == LastStage::Mask || (finds_cameras() && !aligned_);  // every silhouette is made, and asked for cameras
         used_.clear();
         std::vector<std::string> unused;
         for (size_t i = 0; i < views_.views.size(); ++i) {
             const View& v = views_.views[i];
             if (without.count(i)) continue;
-            if (v.unused.empty() || to_be_found) used_.push_back(i);
+            if (v.unused.empty() || all) used_.push_back(i);
             else unused.push_back(v.name + " (" + v.unused + ")");
         }
         if (used_.empty()) throw InputError(views_.camera_file.string() + ": no view is left to carve with");
@@ -385,21 +397,98 @@ class Job {
             progress_.warn(counted(unused.size(), "view") + " not used, as " + views_.camera_file.string() + " says: " + some_of(unused) + ". Remedy: mend the masks and align again");
     }
 
-    /// Cameras that may be wrong are not carved with, unless that is wanted.
-    void doubt(const std::vector<std::string>& why, const std::string& what, const std::string& remedy = "") {
-        std::string list;
-        for (const std::string& w : why) list += "\n  - " + w;
-        if (!o_.accept_unobservable) throw UndeterminedError(what + ":" + list + "\nRemedy: as said there" + remedy + "; --accept-unobservable goes on with them");
-        progress_.warn(what + ", and used (--accept-unobservable):" + list);
+    // --------------------------------------------------------------------------------------- repair
+
+    /// Broken masks by name: for a warning, or to be mended.
+    std::vector<size_t> broken_masks() { return find_broken_masks(views_.names(), views_.cameras(), used_mask_views(), progress_); }
+
+    /// Silhouettes that nobody else bears out carve all the same, unless they are mended: one view may know what no other can.
+    void warn_of_broken_masks() {
+        std::vector<std::string> names;
+        for (const size_t i : broken_masks()) names.push_back(views_.views[i].name);
+        if (!names.empty())
+            progress_.warn(counted(names.size(), "mask") + " against all others: " + some_of(names) + ". Where such a mask is wrong, the object loses what it leaves out. Remedy: look at " + (names.size() == 1 ? "it" : "them") + ", and mend or delete what is wrong, or --repair-masks");
     }
 
+    bool repair() {
+        Sha256 h;
+        h.add("repair").add_value(kCodeVersion).add(mask_key_);
+        for (const Camera& c : views_.cameras()) add_camera(h, c);
+        for (const size_t i : used_) h.add_value(i);
+        const std::string key = h.hex();
+        const fs::path stored = store_.path("repaired", key, "");
+        const auto note = stage_note(stored / "repaired.json", {"views", "warnings"});
+        mask_key_ = key;
+        const auto take = [&](size_t i, const char* what) {
+            const fs::path file = stored / (std::to_string(i) + what);
+            return fs::exists(file) ? io::read_image8(file) : Image8();
+        };
+        if (note) {
+            for (const size_t i : (*note)["views"].get<std::vector<size_t>>()) {
+                masks_.masks[i] = {take(i, ".png"), take(i, "_ignore.png")};
+                masks_.origins[i] += " (repaired)";
+            }
+            warn_again(*note);
+            place_masks(stored);
+            return true;
+        }
+        const size_t before = progress_.warnings().size();
+        std::vector<size_t> broken = broken_masks();
+        std::erase_if(broken, [&](size_t i) { return !edited_[i].empty(); });  // the user's word
+        const fs::path part = o_.output / "stages" / ".repaired.part";
+        fs::remove_all(part);
+        make_folder(part);
+        if (!broken.empty()) {
+            std::vector<Mask> masks(views_.views.size());
+            for (const size_t u : used_) masks[u] = masks_.masks[u];
+            Progress quiet;
+            const std::vector<std::string> done = repair_masks(views_.names(), views_.cameras(), masks, broken, [&](size_t i) { return photo_to_show(views_.views[i]); }, quiet);
+            progress_.warn(counted(broken.size(), "mask") + " against all others, mended: " + some_of(done) + ". Remedy: look at " + (o_.output / "masks").string());
+            for (const size_t i : broken) {
+                masks_.masks[i] = std::move(masks[i]);
+                masks_.origins[i] += " (repaired)";
+                for (const auto& [image, what] : {std::pair{&masks_.masks[i].coverage, ".png"}, {&masks_.masks[i].ignore, "_ignore.png"}}) {
+                    if (image->empty()) continue;
+                    const auto png = io::encode_png(*image);
+                    write_file(part / (std::to_string(i) + what), png.data(), png.size());
+                }
+            }
+        }
+        write_file(part / "repaired.json", json{{"views", broken}, {"warnings", warnings_since(before)}}.dump(1) + "\n");
+        fs::remove_all(stored);
+        fs::rename(part, stored);
+        place_masks(stored);
+        return false;
+    }
+
+    /// Cameras that may be wrong are not carved with, unless that is wanted.
+    void doubt(const std::vector<std::string>& why, const std::string& what) {
+        std::string list;
+        for (const std::string& w : why) list += "\n  - " + w;
+        if (!o_.accept_unobservable) throw UndeterminedError(what + ". Remedy: as each finding says, or --accept-unobservable to go on with them" + list);
+        progress_.warn(what + ", and used all the same (--accept-unobservable)" + list);
+    }
+
+    /// What an earlier run that was refused left.
+    void clear_unverified() {
+        const fs::path folder = o_.output / kUnverified;
+        for (const char* file : {"cameras.json", "report.json", "config.toml", "orbit.svg", "preview.png", "preview_direction_cw.png", "preview_direction_ccw.png", "mat.png", "energy_map.png"}) fs::remove(folder / file);
+        std::error_code others_are_in_it;
+        fs::remove(folder, others_are_in_it);
+    }
+
+    /// Cameras are to be found in this run, or are being found.
+    bool finds_cameras() const { return o_.last_stage != LastStage::Mask && (!views_.posed || o_.align_again); }
+
     /// Copies of the masks for the user to look at and to edit. An edited one is left alone.
-    void place_masks(const fs::path& stored, const fs::path& folder, json written, const std::vector<fs::path>& edited) {
+    void place_masks(const fs::path& stored) {
+        const fs::path folder = o_.output / "masks";
+        json written = parse_or_empty(folder / kWritten);
         make_folder(folder);
         std::vector<std::pair<fs::path, fs::path>> copies;
         for (size_t i = 0; i < mask_names_.size(); ++i) {
             const fs::path from = stored / (std::to_string(i) + ".png");
-            if (!edited[i].empty() || !fs::exists(from)) continue;
+            if (!edited_[i].empty() || !fs::exists(from)) continue;
             const std::string hash = sha256_of_file(from);
             json& ours = written[mask_names_[i]];
             if (fs::exists(folder / mask_names_[i]) && !ours.empty() && ours.back() == hash) continue;
@@ -407,7 +496,7 @@ class Job {
             // The one before is still ours, should a run end between the note and the copy.
             ours = ours.empty() ? json{hash} : json{ours.back(), hash};
         }
-        write_file(folder / ".written_by_vdbcarve.json", written.dump(1) + "\n");
+        write_file(folder / kWritten, written.dump(1) + "\n");
         for (const auto& [from, to] : copies) place_copy(from, to);
     }
 
@@ -484,14 +573,14 @@ class Job {
         if (views_.unverified.empty()) return reused;
         std::string shown;
         if (!o_.accept_unobservable) {  // beside what an earlier run made, which stays
+            clear_unverified();
             place_ = o_.output / kUnverified;
-            fs::remove_all(place_);
             make_folder(place_);
             place_alignment(fs::exists(other_file) ? other_file : fs::path());
             finish();
-            shown = "; " + place_.string() + " holds them, " + (fs::exists(place_ / "preview.png") ? "its preview.png shows what they would make" : "and what was found");
+            shown = ". " + place_.string() + " holds them" + (fs::exists(place_ / "preview.png") ? ", its preview.png shows what they would make" : "");
         }
-        doubt(views_.unverified, "the cameras found are UNVERIFIED", shown);
+        doubt(views_.unverified, "the cameras found are UNVERIFIED" + shown);
         return reused;
     }
 
@@ -529,6 +618,7 @@ class Job {
 
     /// What the alignment drew; and nothing of an earlier one's.
     void place_align_pictures() {
+        if (!aligned_) return;
         for (const char* name : {"orbit.svg", "mat.png", "energy_map.png"}) fs::remove(place_ / name);
         if (!orbit_svg_.empty()) place_copy(orbit_svg_, place_ / "orbit.svg");
         if (fs::exists(align_picture_)) place_copy(align_picture_, place_ / (report_["align"]["picture"].get<std::string>() + ".png"));
@@ -1642,7 +1732,7 @@ class Job {
         if (!o_.dry_run) {
             write_config();
             write_file(place_ / "report.json", out.report_json);
-            if (place_ == o_.output && o_.last_stage != LastStage::Mask) fs::remove_all(o_.output / kUnverified);
+            if (place_ == o_.output && o_.last_stage != LastStage::Mask) clear_unverified();
         }
         return out;
     }
@@ -1654,6 +1744,7 @@ class Job {
     Views views_;
     Masks masks_;
     std::vector<std::string> mask_names_;
+    std::vector<fs::path> edited_;  ///< masks that the user changed, by view
     std::vector<size_t> used_;  ///< indices of views that are carved with
     std::string align_key_;
     bool aligned_ = false;      ///< cameras were found in this run

@@ -245,8 +245,6 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
     out.up = options.up.empty() ? imported.up : options.up;
     out.units = options.units.empty() ? imported.units : options.units;
     if (out.up == imported.up) out.floor = imported.floor;  // a height along the file's own axis
-    if (!options.units.empty() && !imported.units.empty() && options.units != imported.units)
-        progress.warn("--units " + options.units + ": " + found.path.string() + " says " + imported.units + "; its numbers are taken for " + options.units + ", none is converted");
     out.metric = imported.metric;
     out.unverified = imported.unverified;
 

@@ -129,6 +129,14 @@ TEST(AlignMat, PaperThatIsNotFlatIsSeenAndAllowedFor) {
     const auto [rotation, centre] = errors_of(r.views, p.views);
     EXPECT_LT(centre, 0.02);
     EXPECT_LT(rotation, 1);
+    // Markers of another size are no curled paper.
+    for (const double factor : {0.6, 1.15}) {
+        MatLayout other = shoot.mat;
+        other.marker_m *= factor;
+        const AlignResult wrong = align(write_photos(p, folder.path()), {}, by_mat(other), quiet);
+        ASSERT_FALSE(wrong.failures.empty()) << factor;
+        EXPECT_NE(wrong.failures[0].find("give --mat what you measured"), std::string::npos) << wrong.failures[0];
+    }
 }
 
 TEST(AlignMat, ViewsWithoutTheMatAreLeftOutByName) {

@@ -5,6 +5,7 @@
 #include <random>
 
 #include "io_image.h"
+#include "mask_consensus.h"
 #include "mask_methods.h"
 #include "support/scenes.h"
 #include "vdbcarve/synthetic.h"
@@ -532,6 +533,68 @@ TEST(MaskCommand, AnotherProgramIsRunOnceForAPhotograph) {
     }
     s.options.command = "no-such-tool {in} {out}";
     EXPECT_NE(error_of(ExitCode::Input, [&] { s.make(); }).find("could not be started"), std::string::npos);
+}
+
+std::vector<MaskView> views_of(const std::vector<Mask>& masks) {
+    std::vector<MaskView> out;
+    for (const Mask& m : masks) out.push_back(view_of(m));
+    return out;
+}
+
+/// Three masks that are wrong, each in its way.
+std::vector<size_t> break_masks(std::vector<Mask>& masks) {
+    Image8& limb = masks[3].coverage;
+    for (int y = 0; y < limb.height; ++y)
+        for (int x = 0; x < limb.width; ++x)
+            if (y < 0.45 * limb.height) limb.at(x, y) = 0;
+    for (uint8_t& v : masks[11].coverage.data) v = static_cast<uint8_t>(255 - v);
+    Image8& blob = masks[17].coverage;
+    for (int y = 0; y < blob.height; ++y)
+        for (int x = 0; x < blob.width; ++x)
+            if (std::hypot(x - 0.12 * blob.width, y - 0.2 * blob.height) < 20) blob.at(x, y) = 255;
+    return {3, 11, 17};
+}
+
+TEST(Consensus, ABrokenMaskIsNamedAndACleanOneIsNot) {
+    Progress quiet;
+    for (const char* object : {"ellipsoids", "cup", "boxes", "torus", "pair"})
+        for (const Rig::Kind kind : {Rig::Kind::Orbit, Rig::Kind::Dome}) {
+            SyntheticSpec spec = before(object, 11);
+            spec.rig.kind = kind;
+            spec.rig.views = 24;
+            spec.photos = false;
+            SyntheticScene scene = synthesize(spec, quiet);
+            EXPECT_TRUE(find_broken_masks(scene.views.names(), scene.views.cameras(), views_of(scene.masks), quiet).empty()) << object;
+            if (std::string(object) != "ellipsoids") continue;
+            const std::vector<size_t> broken = break_masks(scene.masks);
+            EXPECT_EQ(find_broken_masks(scene.views.names(), scene.views.cameras(), views_of(scene.masks), quiet), broken);
+        }
+}
+
+TEST(Consensus, PhotographsMendMasks) {
+    Progress quiet;
+    SyntheticSpec spec = before("ellipsoids", 11);
+    spec.rig.views = 24;
+    spec.look.backdrop = Vec3d(0.5, 0.5, 0.55);
+    SyntheticScene scene = synthesize(spec, quiet);
+    const std::vector<Mask> truth = scene.masks;
+    const std::vector<size_t> broken = break_masks(scene.masks);
+    std::vector<Mask> without = scene.masks;
+    const auto names = scene.views.names();
+    const auto cameras = scene.views.cameras();
+    EXPECT_NE(repair_masks(names, cameras, scene.masks, broken, [&](size_t i) { return scene.photos[i]; }, quiet)[0].find("by its photograph"), std::string::npos);
+    for (const size_t i : broken) EXPECT_GT(iou(scene.masks[i].coverage, truth[i].coverage), 0.97) << i;
+    // Without photographs what nobody else bears out is ignored, or away.
+    EXPECT_NE(repair_masks(names, cameras, without, broken, [&](size_t) { return Image8(); }, quiet)[0].find("ignored"), std::string::npos);
+    for (const size_t i : broken) {
+        size_t wrong = 0, object = 0;
+        for (size_t p = 0; p < truth[i].coverage.data.size(); ++p) {
+            const bool is = truth[i].coverage.data[p] >= 128;
+            object += is;
+            wrong += (without[i].ignore.empty() || !without[i].ignore.data[p]) && is != (without[i].coverage.data[p] >= 128);
+        }
+        EXPECT_LT(wrong, 0.12 * static_cast<double>(object)) << i;
+    }
 }
 
 }  // namespace

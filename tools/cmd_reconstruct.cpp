@@ -188,6 +188,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
             mask.method = MaskMethod::Command;
         }, "'tool {in} {out}': a program that makes the mask of a photograph (a PNG, white or opaque where the object is); run without a shell, its masks are kept")->group("Masks");
     app->add_option("--mask-command-jobs", mask.command_jobs, "commands at a time")->capture_default_str()->check(CLI::Range(1, 256))->group("Masks");
+    app->add_flag("--repair-masks", mask.repair, "mend masks that contradict all others, by the other views and the photograph")->group("Masks");
     app->add_option("--mask-open", mask.clean_up.open_px, "opening of masks made from photographs, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
     app->add_option("--mask-close", mask.clean_up.close_px, "closing of masks made from photographs, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
     app->add_option("--mask-fill-holes", mask.clean_up.fill_holes, "fill holes up to this share of the object's area (1: all)")

@@ -39,7 +39,7 @@ struct CheckResult {
     std::vector<ViewCheck> agreements;  ///< worst first; empty where masks were not looked at
     double median_iou = 0;
     std::vector<std::string> warnings, errors;
-    ExitCode exit_code = ExitCode::Done;  ///< Done with or without warnings, Contradiction when the data disagree
+    ExitCode exit_code = ExitCode::Done;  ///< Done with or without warnings, Contradiction when the data disagree, Undetermined when the camera file says that its cameras must not be trusted
 };
 
 /// Throws InputError and UndeterminedError like the stages do; contradictions are in the result where they can be described.

@@ -80,6 +80,7 @@ struct MaskOptions {
     std::string command;                 ///< "tool {in} {out}": run for every photograph, without a shell
     int command_jobs = 1;                ///< commands at a time
     MaskCleanUp clean_up;
+    bool repair = false;                 ///< once cameras are known, masks that contradict all others are mended (or what is wrong of them ignored)
     std::filesystem::path cache;         ///< folder where a command's masks are kept, by content; empty: nowhere
 };
 
