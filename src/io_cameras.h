@@ -49,6 +49,22 @@ Imported read_middlebury(const fs::path& file);
 bool understands_projections(const fs::path& file_or_folder);
 Imported read_projections(const fs::path& file_or_folder);
 
+bool understands_filestorage(const fs::path& file);
+Imported read_filestorage(const fs::path& file);
+bool understands_metashape(const fs::path& file);
+Imported read_metashape(const fs::path& file);
+bool understands_bundler(const fs::path& file);
+Imported read_bundler(const fs::path& file);
+bool understands_nvm(const fs::path& file);
+Imported read_nvm(const fs::path& file);
+
+/// Views of 3x4 matrices in whatever file; nameless ones are the images in natural order. A world that they show mirrored is mirrored back.
+struct NamedProjection {
+    std::string name;
+    Mat34d projection;
+};
+Imported imported_projections(const fs::path& file, std::vector<NamedProjection> matrices);
+
 /// The path as given when it is absolute or exists in the scene, else relative to the working folder.
 inline fs::path in_scene(const fs::path& given, const fs::path& scene) {
     if (given.empty() || given.is_absolute()) return given;

@@ -43,11 +43,7 @@ bool understands_projections(const fs::path& candidate) {
 }
 
 Imported read_projections(const fs::path& candidate) {
-    struct Named {
-        std::string name;
-        Mat34d p;
-    };
-    std::vector<Named> matrices;
+    std::vector<NamedProjection> matrices;
     const auto to_matrix = [](const double* v) {
         Mat34d p;
         for (int i = 0; i < 12; ++i) p(i / 4, i % 4) = v[i];
@@ -66,15 +62,18 @@ Imported read_projections(const fs::path& candidate) {
             matrices.push_back({file.stem().string(), to_matrix(v.data())});
         }
     }
+    return imported_projections(candidate, matrices);
+}
 
+Imported imported_projections(const fs::path& file, std::vector<NamedProjection> matrices) {
     Imported out;
     out.integer_pixel_centres = true;
     std::vector<DecomposedProjection> parts;
-    for (const Named& m : matrices) {
+    for (const NamedProjection& m : matrices) {
         try {
-            parts.push_back(decompose_projection(m.p));
+            parts.push_back(decompose_projection(m.projection));
         } catch (const Error& e) {
-            throw InputError(candidate.string() + ": view " + m.name + ": " + e.what());
+            throw InputError(file.string() + ": view " + m.name + ": " + e.what());
         }
     }
     const auto cameras_of = [&] {
@@ -93,8 +92,8 @@ Imported read_projections(const fs::path& candidate) {
         for (const DecomposedProjection& d : parts) behind += (d.camera_from_world * *target).z() < 0;
         if (behind * 2 > parts.size()) {
             for (size_t i = 0; i < matrices.size(); ++i) {
-                matrices[i].p.col(2) *= -1;
-                parts[i] = decompose_projection(matrices[i].p);
+                matrices[i].projection.col(2) *= -1;
+                parts[i] = decompose_projection(matrices[i].projection);
             }
             out.warnings.push_back("the world of these projection matrices is left-handed (mirrored); z was negated to mirror it back");
         }

@@ -4,6 +4,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <opencv2/imgproc.hpp>
@@ -29,17 +30,19 @@ double size_of(ImageView<uint8_t> coverage) {
     return x1 < 0 ? 0 : std::max(x1 - x0, y1 - y0) + 1;
 }
 
-/// Median angle from a camera to the next one, seen from the middle of what they look at.
+/// Median angle from a camera to the farther one of its two neighbours, seen from the middle of what they look at.
 double step_between(const std::vector<Camera>& cameras, const Vec3d& middle) {
     std::vector<double> steps;
     for (const Camera& a : cameras) {
-        double least = std::numbers::pi / 2;
+        std::array<double, 2> nearest{std::numbers::pi / 2, std::numbers::pi / 2};
         for (const Camera& b : cameras) {
             if (&a == &b) continue;
             const double apart = std::acos(std::clamp((a.centre_world() - middle).normalized().dot((b.centre_world() - middle).normalized()), -1.0, 1.0));
-            if (apart > 1e-3) least = std::min(least, apart);
+            if (apart < 1e-3 || apart >= nearest[1]) continue;
+            nearest[1] = apart;
+            std::sort(nearest.begin(), nearest.end());
         }
-        steps.push_back(least);
+        steps.push_back(nearest[1]);
     }
     return median(steps);
 }

@@ -65,7 +65,11 @@ constexpr Importer kTransforms{"transforms.json", io::understands_transforms, io
 constexpr Importer kColmap{"COLMAP", io::understands_colmap, io::read_colmap};
 constexpr Importer kMiddlebury{"Middlebury", io::understands_middlebury, io::read_middlebury};
 constexpr Importer kProjections{"projection matrices", io::understands_projections, io::read_projections};
-constexpr const Importer* kImporters[] = {&kTransforms, &kColmap, &kMiddlebury, &kProjections};
+constexpr Importer kFileStorage{"OpenCV", io::understands_filestorage, io::read_filestorage};
+constexpr Importer kMetashape{"Metashape", io::understands_metashape, io::read_metashape};
+constexpr Importer kBundler{"Bundler", io::understands_bundler, io::read_bundler};
+constexpr Importer kNvm{"VisualSFM", io::understands_nvm, io::read_nvm};
+constexpr const Importer* kImporters[] = {&kTransforms, &kColmap, &kMiddlebury, &kProjections, &kFileStorage, &kMetashape, &kBundler, &kNvm};
 
 struct Candidate {
     fs::path path;
@@ -96,7 +100,7 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
             if (importer->understands(given)) return Candidate{given, importer};
         throw InputError(given.string() +
                          ": not a camera file that is understood (transforms.json, COLMAP folder, *_par.txt, "
-                         "3x4 matrices as .pa or text)");
+                         "3x4 matrices as .pa or text, OpenCV's .yml, .xml or .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm)");
     }
     std::vector<fs::path> candidates;
     for (const char* name : {"transforms.json", "transforms_train.json", "cameras.json", "sparse/0", "sparse", "colmap", "."})
@@ -104,6 +108,8 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
     for (const fs::path& f : files_ending(options.scene, "_par.txt")) candidates.push_back(f);
     const std::vector<fs::path> pa = files_ending(options.scene, ".pa");
     if (!pa.empty()) candidates.push_back(pa.front());
+    for (const char* ending : {".xml", ".yml", ".yaml", ".out", ".nvm"})
+        for (const fs::path& f : files_ending(options.scene, ending)) candidates.push_back(f);
     for (const fs::path& candidate : candidates) {
         if (!fs::exists(candidate)) continue;
         for (const Importer* importer : kImporters) {
@@ -116,7 +122,7 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
     if (options.allow_unposed) return std::nullopt;
     throw InputError(options.scene.string() +
                      ": no cameras found (looked for transforms.json, transforms_train.json, cameras.json, COLMAP in "
-                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa). Remedy: --cameras FILE, or vdbcarve align to find them");
+                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa, *.xml, *.yml, *.out, *.nvm). Remedy: --cameras FILE, or vdbcarve align to find them");
 }
 
 /// Finds image files by the names that camera files use.

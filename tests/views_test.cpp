@@ -194,6 +194,76 @@ TEST(Importers, ProjectionMatricesInOneFile) {
     expect_same_cameras(load(w.folder.path(), [](ViewsOptions& o) { o.cameras = "matrices.txt"; }), w.scene.views, 1e-9);
 }
 
+TEST(Importers, OpenCVCalibrations) {
+    Written w;
+    for (const bool named : {true, false}) {
+        write_text(w.folder / "calibration.yml", opencv_calibration_text(w.scene.views, named));
+        const Views read = load(w.folder.path());
+        EXPECT_EQ(read.format, "OpenCV");
+        expect_same_cameras(read, w.scene.views, 1e-12);
+    }
+    std::string text = opencv_calibration_text(w.scene.views, true);
+    text.replace(text.find("0., 0., 0., 0., 0. ]"), 20, "0.1, -0.2, 0.01, 0.02, 0.3 ]");
+    write_text(w.folder / "calibration.yml", text);
+    const Lens lens = load(w.folder.path()).views[1].lens;
+    EXPECT_EQ(lens.model, Lens::Model::FullOpenCV);
+    EXPECT_EQ(lens.coefficients, (std::vector<double>{0.1, -0.2, 0.01, 0.02, 0.3, 0, 0, 0}));
+    // A ChArUco board's corners count from the pixel's corner.
+    EXPECT_NEAR(load(w.folder.path(), [](ViewsOptions& o) { o.pixel_centre = PixelCentre::Corner; }).views[0].camera.intrinsics.cx, w.scene.views.views[0].camera.intrinsics.cx - 0.5, 1e-12);
+}
+
+TEST(Importers, OpenCVProjectionsInNaturalOrder) {
+    Written w;
+    write_text(w.folder / "cameras.xml", opencv_projections_xml(w.scene.views));
+    const Views read = load(w.folder.path());
+    EXPECT_EQ(read.format, "OpenCV");
+    expect_same_cameras(read, w.scene.views, 1e-9);
+    fs::remove(w.folder / "images/0003.png");
+    EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path()); }).find("4 cameras without names, but the scene has 3 images"), std::string::npos);
+}
+
+TEST(Importers, Metashape) {
+    Written w;
+    write_text(w.folder / "cameras.xml", metashape_text(w.scene.views, ""));
+    const Views read = load(w.folder.path());
+    EXPECT_EQ(read.format, "Metashape");
+    expect_same_cameras(read, w.scene.views, 1e-12);
+    // The lens: Metashape's formula and OpenCV's, with what was read, put a point on the same pixel.
+    const double k1 = 0.1, k2 = -0.05, k3 = 0.02, p1 = 0.003, p2 = -0.004;
+    write_text(w.folder / "cameras.xml", metashape_text(w.scene.views, "<k1>0.1</k1><k2>-0.05</k2><k3>0.02</k3><p1>0.003</p1><p2>-0.004</p2>"));
+    const Lens lens = load(w.folder.path()).views[0].lens;
+    ASSERT_EQ(lens.coefficients.size(), 8u);
+    const std::vector<double>& c = lens.coefficients;
+    for (const auto& [x, y] : {std::pair{0.3, -0.2}, {-0.1, 0.4}}) {
+        const double r2 = x * x + y * y, metashape = 1 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2, opencv = 1 + c[0] * r2 + c[1] * r2 * r2 + c[4] * r2 * r2 * r2;
+        EXPECT_NEAR(x * opencv + 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x), x * metashape + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y, 1e-12);
+        EXPECT_NEAR(y * opencv + c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y, y * metashape + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y, 1e-12);
+    }
+    write_text(w.folder / "cameras.xml", metashape_text(w.scene.views, "<k4>0.1</k4>"));
+    EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path()); }).find("k4, p3 or p4 is not 0"), std::string::npos);
+}
+
+TEST(Importers, BundlerAndVisualSfm) {
+    Written w(1.0, true);
+    write_text(w.folder / "bundle.out", bundler_text(w.scene.views));
+    EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path()); }).find("no list.txt"), std::string::npos);
+    std::string list;
+    for (size_t i = 0; i < 4; ++i) list += (i == 3 ? "lost.png\n" : "") + ("./images/" + w.scene.views.views[i].name) + " 0 500\n";
+    write_text(w.folder / "list.txt", list);
+    const Views bundler = load(w.folder.path());
+    EXPECT_EQ(bundler.format, "Bundler");
+    expect_same_cameras(bundler, w.scene.views, 1e-12);
+    fs::remove(w.folder / "bundle.out");
+    write_text(w.folder / "model.nvm", nvm_text(w.scene.views));
+    const Views nvm = load(w.folder.path());
+    EXPECT_EQ(nvm.format, "VisualSFM");
+    expect_same_cameras(nvm, w.scene.views, 1e-12);
+    std::string text = nvm_text(w.scene.views);
+    text.replace(text.find(" 0 0\n"), 5, " -0.1 0\n");
+    write_text(w.folder / "model.nvm", text);
+    EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path()); }).find("bundle.rd.out"), std::string::npos);
+}
+
 TEST(Importers, AMirroredWorldIsReportedAndMirroredBack) {
     Written w;
     std::string all;

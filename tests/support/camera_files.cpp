@@ -50,6 +50,79 @@ std::string projection_text(const View& view, double factor) {
     return out.str();
 }
 
+std::string opencv_calibration_text(const Views& views, bool named) {
+    const Intrinsics& k = views.views[0].camera.intrinsics;
+    std::ostringstream out;
+    out << std::setprecision(17) << "%YAML:1.0\n---\nimage_width: " << k.width_px << "\nimage_height: " << k.height_px << "\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ " << k.fx << ", " << k.skew << ", "
+        << k.cx - 0.5 << ", 0., " << k.fy << ", " << k.cy - 0.5 << ", 0., 0., 1. ]\ndistortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 0., 0., 0., 0., 0. ]\nviews:\n";
+    for (const View& v : views.views) {
+        const Eigen::AngleAxisd turn(v.camera.camera_from_world.rotation);
+        const Vec3d r = turn.angle() * turn.axis(), t = v.camera.camera_from_world.translation;
+        out << "   - { " << (named ? "name: \"" + v.name + "\", " : "") << "rvec: [ " << r[0] << ", " << r[1] << ", " << r[2] << " ], tvec: [ " << t[0] << ", " << t[1] << ", " << t[2] << " ] }\n";
+    }
+    return out.str();
+}
+
+std::string opencv_projections_xml(const Views& views) {
+    std::ostringstream out;
+    out << std::setprecision(17) << "<?xml version=\"1.0\"?>\n<opencv_storage>\n";
+    for (size_t n = 0; n < views.views.size(); ++n) {
+        const size_t i = views.views.size() - 1 - n;
+        out << "<P_" << 3 * i << " type_id=\"opencv-matrix\"><rows>3</rows><cols>4</cols><dt>d</dt><data>" << projection_text(views.views[i], -0.3) << "</data></P_" << 3 * i << ">\n";
+    }
+    return out.str() + "</opencv_storage>\n";
+}
+
+std::string metashape_text(const Views& views, const std::string& distortion) {
+    const Mat3d turn(Eigen::AngleAxisd(0.7, Vec3d(1, 2, 3).normalized()));
+    const Vec3d moved(10, -20, 5);
+    const double scale = 2.5;
+    std::ostringstream out;
+    out << std::setprecision(17) << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"2.0.0\"><chunk label=\"Chunk 1\" enabled=\"true\">\n<sensors>\n";
+    for (size_t i = 0; i < views.views.size(); ++i) {
+        const Intrinsics& k = views.views[i].camera.intrinsics;
+        out << "<sensor id=\"" << i << "\" label=\"a lens\" type=\"frame\"><resolution width=\"" << k.width_px << "\" height=\"" << k.height_px << "\"/><calibration type=\"frame\" class=\"initial\"><resolution width=\"" << k.width_px
+            << "\" height=\"" << k.height_px << "\"/><f>1</f></calibration><calibration type=\"frame\" class=\"adjusted\"><resolution width=\"" << k.width_px << "\" height=\"" << k.height_px << "\"/><f>" << k.fy << "</f><cx>"
+            << k.cx - 0.5 * k.width_px << "</cx><cy>" << k.cy - 0.5 * k.height_px << "</cy><b1>" << k.fx - k.fy << "</b1><b2>" << k.skew << "</b2>" << distortion << "</calibration></sensor>\n";
+    }
+    out << "</sensors>\n<components><component id=\"3\" label=\"Component 1\"><transform><rotation locked=\"true\">";
+    for (int a = 0; a < 9; ++a) out << turn(a / 3, a % 3) << " ";
+    out << "</rotation><translation locked=\"true\">" << moved[0] << " " << moved[1] << " " << moved[2] << "</translation><scale locked=\"true\">" << scale << "</scale></transform></component></components>\n<cameras>\n<group id=\"0\">\n";
+    for (size_t i = 0; i < views.views.size(); ++i) {
+        const Rigid3& pose = views.views[i].camera.camera_from_world;
+        const Mat3d chunk_from_camera = turn.transpose() * pose.rotation.transpose();
+        const Vec3d centre = turn.transpose() * (-(pose.rotation.transpose() * pose.translation) - moved) / scale;
+        out << "<camera id=\"" << i << "\" sensor_id=\"" << i << "\" component_id=\"3\" label=\"" << std::filesystem::path(views.views[i].name).stem().string() << "\"><transform>";
+        for (int r = 0; r < 3; ++r) out << chunk_from_camera(r, 0) << " " << chunk_from_camera(r, 1) << " " << chunk_from_camera(r, 2) << " " << centre[r] << " ";
+        out << "0 0 0 1</transform></camera>\n";
+    }
+    return out.str() + "</group>\n<camera id=\"99\" sensor_id=\"0\" label=\"lost\"></camera></cameras></chunk></document>\n";
+}
+
+std::string bundler_text(const Views& views) {
+    std::ostringstream out;
+    out << std::setprecision(17) << "# Bundle file v0.3\n" << views.views.size() + 1 << " 1\n";
+    for (size_t i = 0; i < views.views.size(); ++i) {
+        if (i + 1 == views.views.size()) out << "0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n";
+        const Camera& c = views.views[i].camera;
+        const Mat3d& r = c.camera_from_world.rotation;
+        const Vec3d& t = c.camera_from_world.translation;
+        out << c.intrinsics.fx << " 0 0\n" << r(0, 0) << " " << r(0, 1) << " " << r(0, 2) << "\n" << -r(1, 0) << " " << -r(1, 1) << " " << -r(1, 2) << "\n" << -r(2, 0) << " " << -r(2, 1) << " " << -r(2, 2) << "\n" << t[0] << " " << -t[1] << " " << -t[2] << "\n";
+    }
+    return out.str() + "1 2 3\n255 0 0\n2 0 5 1.5 -2.5 1 6 0.5 0.25\n";
+}
+
+std::string nvm_text(const Views& views) {
+    std::ostringstream out;
+    out << std::setprecision(17) << "NVM_V3 \n\n" << views.views.size() << "\n";
+    for (const View& v : views.views) {
+        const Eigen::Quaterniond q(v.camera.camera_from_world.rotation);
+        const Vec3d c = v.camera.centre_world();
+        out << "images/" << v.name << "\t" << v.camera.intrinsics.fx << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << c[0] << " " << c[1] << " " << c[2] << " 0 0\n";
+    }
+    return out.str() + "\n0\n";
+}
+
 void write_colmap_text(const std::filesystem::path& folder, const Views& views) {
     std::ofstream cameras(folder / "cameras.txt"), images(folder / "images.txt");
     cameras << std::setprecision(17) << "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
