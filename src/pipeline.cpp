@@ -117,7 +117,6 @@ class Job {
         const bool have_hull = hull_is_there();
         stage("distance", [&] {
             if (have_hull && !o_.dry_run) return true;  // the hull made from them is there
-            if (!o_.mask.repair && !o_.dry_run) warn_of_broken_masks();
             distances();
             return false;
         });
@@ -703,7 +702,8 @@ class Job {
             inputs_.push_back({views_.views[i].name, cameras[i], nullptr});
             used_masks_.push_back(view_of(masks_.masks[i]));
         }
-        warnings_before_grid_ = progress_.warnings().size();
+        warnings_before_grid_ = progress_.warnings().size();  // the hull's note keeps those from here on
+        if (!o_.mask.repair && !o_.dry_run) warn_of_broken_masks();
         plan_grid();
         if (o_.dry_run) return;
         if (backend_ == Backend::Cuda && on_device("distance", [&] {
