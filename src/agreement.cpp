@@ -141,6 +141,8 @@ Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views) {
             tile.at(u, v, 2) = static_cast<uint8_t>(b);
         };
         for (const auto& [x, y] : view.thin_lost) dot(x + 0.5, y + 0.5, 255, 230, 40);
+        for (const Vec3d& p : view.cut_world)
+            if (const auto pixel = view.camera.project(p)) dot(pixel->x(), pixel->y(), 0, 230, 255);
         const auto& [bx0, by0, bx1, by1] = view.missed_blob;
         if (bx1 > bx0 + 4 || by1 > by0 + 4) {
             const double pad = 3 / shrink;

@@ -268,7 +268,7 @@ void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_fla
     if (print) *print = best_print, set_print(seen, *print);
 }
 
-Image8 grey_of(const View& view) { return io::read_grey(view.image_path, view.camera.intrinsics, view.lens); }
+Image8 grey_of(const View& view) { return io::read_grey(view.image_path, view.orientation, view.camera.intrinsics, view.lens); }
 
 /// The views that fit worst, with the corners found (green) and where the cameras put all of the mat's corners (red).
 Image8 picture_of(const Views& views, const std::vector<Seen>& seen, const Calibration& c, const std::vector<double>& errors_px) {

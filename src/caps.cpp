@@ -9,10 +9,12 @@
 #include <Eigen/Eigenvalues>
 #include <cmath>
 #include <limits>
+#include <opencv2/imgproc.hpp>
 
 #include "filter_plan.h"
 #include "inside_tiles.h"
 #include "redistance.h"
+#include "statistics.h"
 #include "vdbcarve/error.h"
 
 namespace vdbcarve {
@@ -170,6 +172,124 @@ Extrapolation mark_extrapolated(Mesh& mesh, const std::vector<Camera>& cameras, 
     return out;
 }
 
+namespace {
+
+/// Tiles inside become leaves, or tiles outside, block by block of a leaf's size, as `judge` says of a block's origin.
+enum class Block { Stays, Opened, Outside };
+template <class Judge>
+void open_inside_tiles(openvdb::FloatGrid& surface, const Judge& judge) {
+    struct Tile {
+        Coord origin;
+        int side;
+    };
+    std::vector<Tile> tiles;
+    for_inside_tiles(surface.tree(), [&](const Coord& origin, int side) { tiles.push_back({origin, side}); });
+    for (const Tile& t : tiles)
+        for (int i = 0; i < t.side; i += 8)
+            for (int j = 0; j < t.side; j += 8)
+                for (int k = 0; k < t.side; k += 8) {
+                    const Coord c = t.origin.offsetBy(i, j, k);
+                    const Block block = judge(c);
+                    if (block == Block::Outside) surface.tree().addTile(1, c, surface.background(), false);
+                    else if (block == Block::Opened) surface.tree().touchLeaf(c);
+                }
+}
+
+}  // namespace
+
+double slope_of_views(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras, const Vec3d& up, double height) {
+    std::vector<double> slopes;
+    double radius = 0;
+    const Vec3d middle = middle_of(surface, radius);
+    for (const Camera& c : cameras) {
+        const Vec3d from = c.centre_world() - middle;
+        const double above = c.centre_world().dot(up) - height, beside = (from - from.dot(up) * up).norm();
+        if (above > 0) slopes.push_back(above / std::max(beside, 1e-9));
+    }
+    return percentile(slopes, 1.0 / 3);
+}
+
+openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d& up, double height, double clear, double slope, Progress& progress) {
+    int axis = 0;
+    if (up.cwiseAbs().maxCoeff(&axis) < 1 - 1e-9) throw InputError("the floor can be cleared along an axis of the world only");
+    const int u = (axis + 1) % 3, v = (axis + 2) % 3, upwards = up[axis] > 0 ? 1 : -1;
+    const double voxel = surface->voxelSize()[0];
+    const float band = surface->background();
+    // The first layer whose centres are above the floor.
+    openvdb::Vec3d at(0.0);
+    at[axis] = height * up[axis];
+    const double exact = surface->worldToIndex(at)[axis];
+    const int lowest = static_cast<int>(upwards > 0 ? std::ceil(exact) : std::floor(exact));
+    const openvdb::CoordBBox box = surface->evalActiveVoxelBoundingBox();
+    const int width = box.dim()[u] + 2, depth = box.dim()[v] + 2;
+    const auto coord = [&](int i, int j, int layers) {
+        Coord c;
+        c[u] = box.min()[u] - 1 + i;
+        c[v] = box.min()[v] - 1 + j;
+        c[axis] = lowest + upwards * layers;
+        return c;
+    };
+    // How many layers stand on the floor without a gap; more than can be of a mound is all the same.
+    const int most = static_cast<int>(std::ceil((clear + slope * 0.5 * std::max(width, depth) * voxel) / voxel)) + 2;
+    cv::Mat standing(depth, width, CV_32S), foot(depth, width, CV_8U);
+    tbb::parallel_for(0, depth, [&](int j) {
+        openvdb::FloatGrid::ConstAccessor values = surface->getConstAccessor();
+        for (int i = 0; i < width; ++i) {
+            int n = 0;
+            while (n <= most && values.getValue(coord(i, j, n)) < 0) ++n;
+            standing.at<int>(j, i) = n;
+            foot.at<uint8_t>(j, i) = n > 0 ? 255 : 0;
+        }
+    });
+    cv::Mat from_border;
+    cv::distanceTransform(foot, from_border, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+    // From the borders inwards.
+    cv::Mat gone = cv::Mat::zeros(depth, width, CV_8U);
+    std::vector<std::pair<int, int>> front;
+    const auto flat = [&](int i, int j) { return foot.at<uint8_t>(j, i) && standing.at<int>(j, i) * voxel <= clear + slope * (from_border.at<float>(j, i) + 1) * voxel; };
+    const auto take = [&](int i, int j) {
+        if (i < 0 || j < 0 || i >= width || j >= depth || gone.at<uint8_t>(j, i) || !flat(i, j)) return;
+        gone.at<uint8_t>(j, i) = 255;
+        front.emplace_back(i, j);
+    };
+    for (int j = 0; j < depth; ++j)
+        for (int i = 0; i < width; ++i)
+            if (from_border.at<float>(j, i) > 0 && from_border.at<float>(j, i) < 1.5F) take(i, j);
+    while (!front.empty()) {
+        const auto [i, j] = front.back();
+        front.pop_back();
+        for (const auto& [di, dj] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}}) take(i + di, j + dj);
+    }
+    if (cv::countNonZero(gone) == 0) return surface;
+    // Signed distance to the border of what goes, voxels, positive within; beyond what stands at all it makes no difference.
+    cv::Mat within, without, outer = gone == 0;
+    cv::distanceTransform(gone, within, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+    outer &= foot;
+    cv::distanceTransform(outer, without, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+    open_inside_tiles(*surface, [&](const Coord& c) { return (c[axis] - lowest) * upwards < most + 8 ? Block::Opened : Block::Stays; });
+    const int half_width = half_width_of(*surface);
+    openvdb::tree::LeafManager<openvdb::FloatTree>(surface->tree()).foreach ([&](Leaf& leaf, size_t) {
+        for (openvdb::Index n = 0; n < Leaf::SIZE; ++n) {
+            const Coord c = leaf.offsetToGlobalCoord(n);
+            const int i = c[u] - box.min()[u] + 1, j = c[v] - box.min()[v] + 1;
+            if (i < 0 || j < 0 || i >= width || j >= depth) continue;
+            const double inside = gone.at<uint8_t>(j, i) ? within.at<float>(j, i) - 0.5 : foot.at<uint8_t>(j, i) ? 0.5 - without.at<float>(j, i) : 1e9;
+            // Above what stands here, or next to here, is whatever hangs over it.
+            int top = standing.at<int>(j, i);
+            for (const auto& [di, dj] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}})
+                if (i + di >= 0 && j + dj >= 0 && i + di < width && j + dj < depth && gone.at<uint8_t>(j + dj, i + di)) top = std::max(top, standing.at<int>(j + dj, i + di));
+            const double below = top + 0.5 - (c[axis] - lowest) * upwards;
+            const double cut = std::clamp(std::min(inside, below) * voxel, -static_cast<double>(band), static_cast<double>(band));
+            leaf.setValueOnly(n, std::max(leaf.getValue(n), static_cast<float>(cut)));
+        }
+    });
+    try {
+        return redistance(std::move(surface), half_width, nullptr, progress);
+    } catch (const InputError&) {
+        throw InputError("all of the object lies flat on the floor at " + std::to_string(height) + ". Remedy: --floor-clear 0, another --floor HEIGHT, or check --up");
+    }
+}
+
 openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& up, double height, Progress& progress) {
     const double voxel = surface->voxelSize()[0];
     const int half_width = half_width_of(*surface);
@@ -179,25 +299,12 @@ openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& u
         const openvdb::Vec3d x = surface->indexToWorld(index);
         return height - (x.x() * up.x() + x.y() * up.y() + x.z() * up.z());
     };
-    openvdb::FloatTree& tree = surface->tree();
-    // Tiles inside become leaves where the plane's band crosses them, and outside below it.
-    struct Tile {
-        Coord origin;
-        int side;
-    };
-    std::vector<Tile> tiles;
-    for_inside_tiles(tree, [&](const Coord& origin, int side) { tiles.push_back({origin, side}); });
     const double corner = 0.5 * std::sqrt(3.0) * 8 * voxel;
-    for (const Tile& t : tiles)
-        for (int i = 0; i < t.side; i += 8)
-            for (int j = 0; j < t.side; j += 8)
-                for (int k = 0; k < t.side; k += 8) {
-                    const Coord c = t.origin.offsetBy(i, j, k);
-                    const double d = below(c.asVec3d() + openvdb::Vec3d(3.5));
-                    if (d > band + corner) tree.addTile(1, c, band, false);
-                    else if (d > -band - corner) tree.touchLeaf(c);
-                }
-    openvdb::tree::LeafManager<openvdb::FloatTree>(tree).foreach ([&](Leaf& leaf, size_t) {
+    open_inside_tiles(*surface, [&](const Coord& c) {
+        const double d = below(c.asVec3d() + openvdb::Vec3d(3.5));
+        return d > band + corner ? Block::Outside : d > -band - corner ? Block::Opened : Block::Stays;
+    });
+    openvdb::tree::LeafManager<openvdb::FloatTree>(surface->tree()).foreach ([&](Leaf& leaf, size_t) {
         for (openvdb::Index at = 0; at < Leaf::SIZE; ++at) {
             const auto cut = static_cast<float>(std::clamp(below(leaf.offsetToGlobalCoord(at).asVec3d()), -static_cast<double>(band), static_cast<double>(band)));
             leaf.setValueOnly(at, std::max(leaf.getValue(at), cut));
@@ -206,7 +313,7 @@ openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& u
     try {
         return redistance(std::move(surface), half_width, nullptr, progress);
     } catch (const InputError&) {
-        throw InputError("nothing of the object lies above the plane at " + std::to_string(height) + " along its up axis, by which it is cut. Remedy: check --up; leave --base flat away, or \"floor\" in the camera file");
+        throw InputError("nothing of the object lies above the plane at " + std::to_string(height) + " along its up axis, by which it is cut. Remedy: check --up; leave --floor or --base flat away, or \"floor\" in the camera file");
     }
 }
 

@@ -5,14 +5,20 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
 
+#include "camera_doubts.h"
 #include "coarse_hull.h"
+#include "io_exif.h"
+#include "io_image.h"
 #include "mask_consensus.h"
 #include "orbit_model.h"
+#include "sha256.h"
 #include "statistics.h"
 #include "text.h"
+#include "vdbcarve/export.h"
 #include "vdbcarve/mesh.h"
 
 namespace vdbcarve {
@@ -20,10 +26,37 @@ namespace {
 
 constexpr double kDegrees = 180 / std::numbers::pi;
 
-std::string text_of(double v, int digits = 2) {
-    char text[40];
-    std::snprintf(text, sizeof text, "%.*f", digits, v);
-    return text;
+using Severity = Finding::Severity;
+
+std::string fixed(double v, int digits = 2) { return text_of("%.*f", digits, v); }
+
+/// A sentence as messages have them: what follows "Remedy: " is the remedy.
+void find(CheckResult& out, Severity severity, const char* part, const std::string& sentence, ExitCode code = ExitCode::Contradiction) {
+    const std::string word = "Remedy: ";
+    const size_t at = sentence.find(word);
+    std::string text = sentence.substr(0, at), remedy = at == std::string::npos ? "" : sentence.substr(at + word.size());
+    while (!text.empty() && (text.back() == ' ' || text.back() == '.')) text.pop_back();
+    out.findings.push_back({severity, part, text, remedy, severity == Severity::Error ? code : ExitCode::Done});
+}
+
+constexpr double kFits = 0.9;   ///< median IoU of the hull with its own silhouettes, where cameras and masks belong together
+constexpr double kGood = 0.96;  ///< below it other readings of the cameras are tried all the same: half the focal length leaves 0.92
+
+/// The world axis that the cameras stand along, and whether the file says another.
+void guess_up(const Views& views, CheckResult& out) {
+    int axis = 0;
+    const double largest = out.up_world.cwiseAbs().maxCoeff(&axis);
+    if (largest > std::cos(20 / kDegrees)) out.up_guessed = (out.up_world[axis] < 0 ? "-" : "") + std::string(1, "xyz"[axis]);
+    if (views.up.empty()) {
+        if (!out.up_guessed.empty()) find(out, Severity::Note, "cameras", "the file does not say which way is up; the cameras stand upright along " + out.up_guessed + ". Remedy: --up " + out.up_guessed);
+        return;
+    }
+    Vec3d said = Vec3d::Zero();
+    said[views.up.back() - 'x'] = views.up.size() > 1 ? -1 : 1;
+    const double angle = std::acos(std::clamp(said.dot(out.up_world), -1.0, 1.0)) * kDegrees;
+    if (angle > 45)
+        find(out, Severity::Warning, "cameras", "up is said to be " + views.up + ", but the cameras stand upright " + (out.up_guessed.empty() ? fixed(angle, 0) + " degrees from it" : "along " + out.up_guessed) + ". Remedy: " +
+                                                    (out.up_guessed.empty() ? "--up, as it is meant" : "--up " + out.up_guessed));
 }
 
 void check_cameras(const Views& views, CheckResult& out) {
@@ -51,12 +84,12 @@ void check_cameras(const Views& views, CheckResult& out) {
     out.look_at_miss = median(miss) / out.distance_median;
     if (!away.empty()) {
         const bool most = away.size() * 2 > cameras.size();
-        (most ? out.errors : out.warnings)
-            .push_back(std::to_string(away.size()) + " of " + std::to_string(cameras.size()) + " cameras look away from where the others look (" + some_of(away) + ")" +
-                       (most ? ": the camera file's axes are probably another program's (OpenGL cameras in an OpenCV format, or the reverse)" : ": look at their poses"));
+        find(out, most ? Severity::Error : Severity::Warning, "cameras",
+             std::to_string(away.size()) + " of " + std::to_string(cameras.size()) + " cameras look away from where the others look (" + some_of(away) + ")" +
+                 (most ? ": the camera file's axes are probably another program's. Remedy: check with masks, which tries other readings" : ". Remedy: look at their poses"));
     }
     if (up.norm() < 0.1 * static_cast<double>(cameras.size())) {
-        out.warnings.push_back("the images' up directions cancel each other: cameras all around, or turned upside down by turns; azimuths are not judged");
+        find(out, Severity::Warning, "cameras", "the images' up directions cancel each other: cameras all around, or turned upside down by turns; azimuths are not judged");
         return;
     }
     out.up_world = up.normalized();
@@ -75,20 +108,95 @@ void check_cameras(const Views& views, CheckResult& out) {
     for (size_t i = 1; i < azimuths.size(); ++i) out.largest_gap_deg = std::max(out.largest_gap_deg, azimuths[i] - azimuths[i - 1]);
     // A view and the one from behind show the same silhouette (but for perspective), so half a turn may suffice.
     if (out.largest_gap_deg > 200)
-        out.warnings.push_back("no view within " + text_of(out.largest_gap_deg, 0) + " degrees of azimuth: the hull will bulge there. Remedy: views from that side");
+        find(out, Severity::Warning, "cameras", "no view within " + fixed(out.largest_gap_deg, 0) + " degrees of azimuth: the hull will bulge there. Remedy: views from that side");
     if (out.elevation_max_deg - out.elevation_min_deg < 5)
-        out.warnings.push_back("all views are at one height (" + text_of(out.elevation_min_deg, 0) + " to " + text_of(out.elevation_max_deg, 0) +
-                               " degrees): top and bottom are bounded by cones only. A second ring from above helps more than twice as many views");
+        find(out, Severity::Warning, "cameras", "all views are at one height (" + fixed(out.elevation_min_deg, 0) + " to " + fixed(out.elevation_max_deg, 0) +
+                               " degrees): top and bottom are bounded by cones only. Remedy: a second ring from above, which helps more than twice as many views");
     if (out.look_at_miss > 0.2)
-        out.warnings.push_back("the optical axes miss their common point by " + text_of(100 * out.look_at_miss, 0) + " % of the distance: views of different scenes, or wrong poses?");
+        find(out, Severity::Warning, "cameras", "the optical axes miss their common point by " + fixed(100 * out.look_at_miss, 0) + " % of the distance: views of different scenes, or wrong poses?");
+    guess_up(views, out);
+}
+
+/// The hull of masks that do not fit their cameras: what else the file may mean.
+void try_readings(const Views& views, const std::vector<MaskView>& seen, const std::string& what, Severity severity, CheckResult& out, Progress& progress) {
+    std::vector<Reading> readings = readings_of(views.cameras());
+    judge(readings, seen, progress);
+    const Reading& own = readings.front();
+    const Reading* best = &own;
+    for (const Reading& r : readings)
+        if (r.overlap > best->overlap) best = &r;
+    constexpr double kBetter = 0.03;
+    if (best->overlap < kFits || best->overlap < own.overlap + kBetter) {
+        if (severity == Severity::Error) find(out, Severity::Error, "cameras", what + "; no other reading of the poses fits either. Remedy: check poses, focal length and which mask belongs to which view; --method refine where cameras are nearly right, --cameras none to find them");
+        return;
+    }
+    std::string words;
+    for (const Reading& r : readings)
+        if (r.overlap > best->overlap - 0.005 && r.overlap > own.overlap + kBetter) words += (words.empty() ? "" : ", or ") + r.words;
+    const bool of_cameras = !best->mirrored && std::is_sorted(best->silhouette.begin(), best->silhouette.end());
+    find(out, severity, "cameras",
+         what + "; they fit " + words + " (median IoU " + fixed(best->overlap, 3) + " instead of " + fixed(own.overlap, 3) + "). Remedy: " +
+             (of_cameras ? "--write-cameras FILE writes them so, for --cameras FILE" : best->mirrored ? "mirror the images back, or, where their order may be wrong, put that right" : "give each image the name that the camera file has for it"));
+    if (!of_cameras) return;
+    out.better = views;
+    out.better->sittings = {Sitting{}};
+    for (size_t i = 0; i < views.views.size(); ++i) {
+        out.better->views[i].camera = best->cameras[i];
+        out.better->views[i].sitting = "0";
+    }
+}
+
+/// Half a pixel everywhere, or a wrong focal length, leaves a hull that looks good and is a little too small.
+void check_common_error(const Views& views, const std::vector<MaskView>& seen, CheckResult& out, Progress& progress) {
+    const std::optional<CommonError> e = common_error(views.cameras(), seen, progress);
+    if (!e) return;
+    out.contour_off_px = e->rms_before_px;
+    const double nan = std::nan("");
+    const bool open[2] = {e->sd[0] > 0.1, e->sd[1] > 0.1};
+    out.shift_px[0] = open[0] ? nan : e->shift_x_px;
+    out.shift_px[1] = open[1] ? nan : e->shift_y_px;
+    out.focal_factor = e->sd[2] > 0.01 ? nan : e->focal_factor;
+    if (e->rms_after_px > 0.85 * e->rms_before_px || e->rms_before_px < 0.05) return;
+    const auto off = [&](int a) { return !open[a] && std::fabs(out.shift_px[a]) > std::max(0.2, 4 * e->sd[static_cast<size_t>(a)]); };
+    const std::string better = " (contours " + fixed(e->rms_before_px) + " px off, " + fixed(e->rms_after_px) + " px then)";
+    if (off(0) || off(1)) {
+        const double d = off(0) ? out.shift_px[0] : out.shift_px[1];
+        const bool half = std::fabs(std::fabs(d) - 0.5) < 0.15 && (!(off(0) && off(1)) || std::fabs(out.shift_px[0] - out.shift_px[1]) < 0.2);
+        const auto said = [&](int a) { return open[a] ? std::string("?") : fixed(out.shift_px[a]); };
+        find(out, Severity::Warning, "cameras", "silhouettes fit better with all principal points moved by (" + said(0) + ", " + said(1) + ") px" + better + (half ? ": half a pixel, as where the first pixel's centre is counted otherwise" : "") + ". Remedy: " +
+                                                    (half ? std::string("--pixel-centre ") + (d > 0 ? "integer" : "corner") : "--method refine"));
+    }
+    if (std::isfinite(out.focal_factor) && std::fabs(out.focal_factor - 1) > std::max(0.01, 4 * e->sd[2]))
+        find(out, Severity::Warning, "cameras", "silhouettes fit better with all focal lengths times " + fixed(out.focal_factor, 3) + better + ". Remedy: --method refine; were images scaled or cropped after calibration?");
+}
+
+void check_size(const Views& views, const Mesh& mesh, CheckResult& out) {
+    Box3d box;
+    for (const auto& v : mesh.vertices) box.extend(Vec3d(v[0], v[1], v[2]));
+    out.object_size = box.sizes();
+    const std::optional<double> metres = views.units.empty() ? std::nullopt : metres_per(views.units);
+    if (!metres) {
+        find(out, Severity::Note, "cameras", "the unit of length is not said. Remedy: --units, where it is known");
+        return;
+    }
+    const double largest_m = out.object_size.maxCoeff() * *metres;
+    if (largest_m < 1e-3 || largest_m > 50)
+        find(out, Severity::Warning, "cameras", "an object of " + text_of("%.3g %s", out.object_size.maxCoeff(), views.units.c_str()) + (largest_m < 1e-3 ? " is hardly visible" : " is a building") + ": is the unit meant? Remedy: --units");
 }
 
 void check_masks(const CheckOptions& options, const Views& views, CheckResult& out, Progress& progress) {
-    Masks masks = make_masks(views, options.views.scene, options.mask, std::vector<std::filesystem::path>(views.views.size()), progress);
+    Masks masks;
+    try {
+        masks = make_masks(views, options.views.scene, options.mask, std::vector<std::filesystem::path>(views.views.size()), progress);
+    } catch (const InputError& e) {
+        find(out, Severity::Error, "masks", e.what(), e.code());
+        return;
+    }
     const std::vector<Camera> all = views.cameras();
     std::vector<std::string> view_names, used_names;
     std::vector<MaskView> seen, used;
     std::vector<Camera> cameras;
+    std::vector<std::string> hard;
     for (size_t i = 0; i < views.views.size(); ++i) {
         view_names.push_back(views.views[i].name);
         seen.push_back(views.views[i].unused.empty() ? view_of(masks.masks[i]) : MaskView());  // as reconstruct does
@@ -96,58 +204,163 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
         used_names.push_back(view_names.back());
         cameras.push_back(all[i]);
         used.push_back(seen.back());
+        if (contour_softness(masks.masks[i].coverage) < 0.5) hard.push_back(view_names.back());
     }
+    if (used.empty()) return;
+    out.soft_share = 1 - static_cast<double>(hard.size()) / static_cast<double>(used.size());
+    if (!hard.empty())
+        find(out, Severity::Note, "masks", (hard.size() == used.size() ? std::string("all masks are") : counted(hard.size(), "mask") + " of " + std::to_string(used.size()) + (hard.size() == 1 ? " is" : " are")) +
+                                               " hard, black and white: contours are known to half a pixel, and surfaces are filtered. Remedy: masks with grey edges, where they can be had");
+    if (!views.posed) return;
     Mesh mesh;
+    std::string died;
     try {
         mesh = extract_mesh(*coarse_hull(view_names, all, seen, options.resolution, options.min_seen, progress), {}, progress);
-    } catch (const ContradictionError& e) {
-        out.errors.push_back(e.what());
+    } catch (const Interrupted&) {
+        throw;
+    } catch (const Error& e) {
+        died = e.what();
+    }
+    if (!died.empty()) {
+        try_readings(views, seen, died.substr(0, died.find(". Remedy")), Severity::Error, out, progress);
         return;
     }
-    std::vector<std::string> broken;
-    for (const size_t i : find_broken_masks(view_names, all, seen, progress)) broken.push_back(view_names[i]);
-    if (!broken.empty()) out.warnings.push_back(counted(broken.size(), "mask") + " against all others: " + some_of(broken) + ". Remedy: mend or delete what is wrong, or --repair-masks");
+    check_size(views, mesh, out);
     out.agreements.resize(used.size());
     tbb::parallel_for(size_t{0}, used.size(), [&](size_t i) { out.agreements[i] = {used_names[i], compare_silhouettes(silhouette_of(mesh, cameras[i]), used[i])}; });
     std::vector<double> ious;
     for (const ViewCheck& v : out.agreements) ious.push_back(v.agreement.iou);
     out.median_iou = median(ious);
     std::stable_sort(out.agreements.begin(), out.agreements.end(), [](const ViewCheck& a, const ViewCheck& b) { return a.agreement.iou < b.agreement.iou; });
-    if (out.median_iou < 0.9)
-        out.errors.push_back("the hull of all views covers its own silhouettes poorly (median IoU " + text_of(out.median_iou, 3) +
-                             "): cameras and masks do not fit together. Remedy: check poses, focal length and which mask belongs to which view");
+    if (out.median_iou < kGood)
+        try_readings(views, seen, "the hull of all views covers its own silhouettes poorly (median IoU " + fixed(out.median_iou, 3) + "): cameras and masks do not fit together", out.median_iou < kFits ? Severity::Error : Severity::Warning, out, progress);
+    if (out.median_iou < kFits || out.better) return;
+    std::vector<std::string> broken;
+    for (const size_t i : find_broken_masks(view_names, all, seen, progress)) broken.push_back(view_names[i]);
+    if (!broken.empty()) find(out, Severity::Warning, "masks", counted(broken.size(), "mask") + " against all others: " + some_of(broken) + ". Remedy: mend or delete what is wrong, or --repair-masks");
     std::vector<std::string> weak;
     for (const ViewCheck& v : out.agreements)
-        if (v.agreement.iou < std::min(0.95, out.median_iou - 0.02)) weak.push_back(v.name + " (IoU " + text_of(v.agreement.iou, 3) + ")");
-    if (!weak.empty() && out.median_iou >= 0.9)
-        out.warnings.push_back("views whose silhouettes the others contradict: " + some_of(weak) + ". One bad mask also eats into its neighbours' agreement; mend the worst first");
+        if (v.agreement.iou < std::min(0.95, out.median_iou - 0.02)) weak.push_back(v.name + " (IoU " + fixed(v.agreement.iou, 3) + ")");
+    if (!weak.empty()) find(out, Severity::Warning, "masks", "views whose silhouettes the others contradict: " + some_of(weak) + ". Remedy: mend the worst first; one bad mask also eats into its neighbours' agreement");
     std::vector<std::string> thin;
     for (const ViewCheck& v : out.agreements)
         if (v.agreement.thin_length_lost_px > 20) thin.push_back(v.name + " (" + std::to_string(v.agreement.thin_length_lost_px) + " px)");
-    if (!thin.empty()) out.warnings.push_back("thin parts of these masks are carved away by other views: " + some_of(thin) + ". Remedy: mend the masks there, or --max-misses 1");
+    if (!thin.empty()) find(out, Severity::Warning, "masks", "thin parts of these masks are carved away by other views: " + some_of(thin) + ". Remedy: mend the masks there, or --max-misses 1");
+    if (broken.empty()) check_common_error(views, seen, out, progress);
+}
+
+/// Every photograph is decoded once.
+void check_images(const Views& views, CheckResult& out, Progress& progress) {
+    struct Seen {
+        bool there = false, decoded = false, grey = false;
+        std::string error, sha256;
+        int said_orientation = 1;
+        double sharpness = 0, brightness = 0;
+    };
+    std::vector<Seen> seen(views.views.size());
+    progress.begin("images", seen.size());
+    tbb::parallel_for(size_t{0}, seen.size(), [&](size_t i) {
+        const View& v = views.views[i];
+        Seen& s = seen[i];
+        progress.step();
+        if (v.image_path.empty()) return;
+        s.there = true;
+        s.said_orientation = io::exif_orientation(v.image_path);
+        try {
+            s.sha256 = sha256_of_file(v.image_path);
+            const Image8 photo = io::read_photo8(v.image_path, v.orientation);
+            const Intrinsics& k = v.camera.intrinsics;
+            s.decoded = true;
+            s.grey = photo.channels == 1;
+            if (photo.width != k.width_px || photo.height != k.height_px) s.error = other_size(v.image_path.string(), photo.width, photo.height, v.name, k.width_px, k.height_px);
+            s.sharpness = io::sharpness(photo);
+            double sum = 0;
+            for (const uint8_t p : photo.data) sum += p;
+            s.brightness = sum / static_cast<double>(photo.data.size());
+        } catch (const InputError& e) {
+            s.error = e.what();
+        }
+    });
+    std::vector<std::string> turned, as_stored, blurred, exposed;
+    std::vector<double> sharpness, brightness;
+    std::map<std::string, std::string> known;
+    std::vector<std::string> errors;
+    size_t grey = 0;
+    for (size_t i = 0; i < seen.size(); ++i) {
+        const Seen& s = seen[i];
+        const std::string& name = views.views[i].name;
+        if (!s.there) continue;
+        ++out.images_read;
+        if (!s.error.empty()) errors.push_back(s.error);
+        if (s.said_orientation != 1) (views.views[i].orientation != 1 ? turned : as_stored).push_back(name);
+        if (!s.decoded) continue;
+        sharpness.push_back(s.sharpness);
+        brightness.push_back(s.brightness);
+        grey += s.grey;
+        const auto [other, fresh] = known.emplace(s.sha256, name);
+        if (!fresh) find(out, Severity::Warning, "images", name + " is the very same picture as " + other->second + ". Remedy: take one of them away");
+    }
+    // One line for what is wrong with all in the same way.
+    if (errors.size() > 3) find(out, Severity::Error, "images", counted(errors.size(), "image") + " cannot be used, the first: " + errors.front(), ExitCode::Input);
+    else
+        for (const std::string& e : errors) find(out, Severity::Error, "images", e, ExitCode::Input);
+    const double sharp = median(sharpness), bright = median(brightness);
+    for (size_t i = 0; i < seen.size(); ++i) {
+        if (!seen[i].decoded) continue;
+        if (seen[i].sharpness < 0.2 * sharp) blurred.push_back(views.views[i].name);
+        if (seen[i].brightness > 1.5 * bright || seen[i].brightness < bright / 1.5) exposed.push_back(views.views[i].name);
+    }
+    if (!blurred.empty()) find(out, Severity::Warning, "images", counted(blurred.size(), "image") + " much less sharp than the others: " + some_of(blurred) + ". Remedy: take them away, or --color-leave-out views of them");
+    if (!exposed.empty()) find(out, Severity::Note, "images", counted(exposed.size(), "image") + " much brighter or darker than the others: " + some_of(exposed) + "; colours are evened out (--exposure)");
+    if (!turned.empty()) find(out, Severity::Note, "images", counted(turned.size(), "image") + " turned as EXIF says: " + some_of(turned));
+    if (!as_stored.empty()) find(out, Severity::Note, "images", "EXIF says that " + counted(as_stored.size(), "image") + " should be turned, but the cameras have the size of the pixels as stored, which are taken: " + some_of(as_stored));
+    if (grey && grey < out.images_read) find(out, Severity::Note, "images", counted(grey, "image") + " of " + std::to_string(out.images_read) + " in grey");
 }
 
 }  // namespace
+
+std::vector<std::string> CheckResult::of(Finding::Severity severity) const {
+    std::vector<std::string> out;
+    for (const Finding& f : findings)
+        if (f.severity == severity) out.push_back(f.text + (f.remedy.empty() ? "" : ". Remedy: " + f.remedy));
+    return out;
+}
 
 CheckResult check(const CheckOptions& options, Progress& progress) {
     openvdb::initialize();
     CheckResult out;
     ViewsOptions vo = options.views;
-    vo.cameras_only = !options.masks;
+    vo.cameras_only = !options.masks && !options.images;
+    vo.allow_unposed = options.masks || options.images;
     const Views views = load_views(vo, progress);
     out.views = views.views.size();
-    if (options.cameras) check_cameras(views, out);
-    if (options.masks && out.errors.empty()) check_masks(options, views, out, progress);
-    for (const std::string& w : progress.warnings()) out.warnings.push_back(w);
-    for (const std::string& w : views.unverified) out.warnings.push_back("UNVERIFIED cameras: " + w);
+    out.up_said = views.up;
+    out.units_said = views.units;
+    if (!views.posed) find(out, Severity::Note, "cameras", "there are no cameras yet. Remedy: vdbcarve align, or reconstruct, which finds them");
+    if (options.images) check_images(views, out, progress);
+    if (options.cameras && views.posed) check_cameras(views, out);
+    const bool readable = std::none_of(out.findings.begin(), out.findings.end(), [](const Finding& f) { return f.severity == Severity::Error && f.code == ExitCode::Input; });
+    if (options.masks && readable) check_masks(options, views, out, progress);
+    for (const std::string& w : progress.warnings()) find(out, Severity::Warning, "masks", w);
+    for (const std::string& w : views.unverified) find(out, Severity::Error, "cameras", "UNVERIFIED cameras: " + w, ExitCode::Undetermined);
     std::vector<std::string> unused;
     for (const View& v : views.views)
         if (!v.unused.empty()) unused.push_back(v.name + " (" + v.unused + ")");
-    if (!unused.empty()) out.warnings.push_back(counted(unused.size(), "view") + " not used, as the camera file says: " + some_of(unused));
-    if (!views.unverified.empty()) out.exit_code = ExitCode::Undetermined;
-    if (!out.errors.empty()) out.exit_code = ExitCode::Contradiction;
+    if (!unused.empty()) find(out, Severity::Warning, "cameras", counted(unused.size(), "view") + " not used, as the camera file says: " + some_of(unused) + ". Remedy: mend the masks and align again");
+    std::stable_sort(out.findings.begin(), out.findings.end(), [](const Finding& a, const Finding& b) { return a.severity > b.severity; });
+    for (const ExitCode code : {ExitCode::Undetermined, ExitCode::Contradiction, ExitCode::Input})
+        for (const Finding& f : out.findings)
+            if (f.severity == Severity::Error && f.code == code) out.exit_code = code;
     return out;
 }
+
+namespace {
+
+const char* name_of(Severity severity) { return severity == Severity::Error ? "error" : severity == Severity::Warning ? "warning" : "note"; }
+
+nlohmann::json number_or_null(double v) { return std::isfinite(v) ? nlohmann::json(v) : nlohmann::json(); }
+
+}  // namespace
 
 std::string check_json(const CheckResult& r) {
     nlohmann::ordered_json j{{"views", r.views},
@@ -155,16 +368,27 @@ std::string check_json(const CheckResult& r) {
                               {{"look_at", {r.look_at_world.x(), r.look_at_world.y(), r.look_at_world.z()}},
                                {"look_at_miss", r.look_at_miss},
                                {"up", {r.up_world.x(), r.up_world.y(), r.up_world.z()}},
+                               {"up_guessed", r.up_guessed},
+                               {"up_said", r.up_said},
+                               {"units_said", r.units_said},
                                {"distance_median", r.distance_median},
                                {"distance_spread", r.distance_spread},
                                {"elevation_deg", {r.elevation_min_deg, r.elevation_max_deg}},
                                {"largest_gap_deg", r.largest_gap_deg},
-                               {"fov_deg", r.fov_deg}}},
+                               {"fov_deg", r.fov_deg},
+                               {"contour_off_px", r.contour_off_px},
+                               {"principal_point_shift_px", {number_or_null(r.shift_px[0]), number_or_null(r.shift_px[1])}},
+                               {"focal_factor", number_or_null(r.focal_factor)}}},
+                             {"object_size", {r.object_size.x(), r.object_size.y(), r.object_size.z()}},
                              {"median_iou", r.median_iou},
+                             {"soft_masks", r.soft_share},
+                             {"images_read", r.images_read},
                              {"agreement", nlohmann::json::array()},
-                             {"errors", r.errors},
-                             {"warnings", r.warnings},
+                             {"findings", nlohmann::json::array()},
+                             {"errors", r.of(Severity::Error)},
+                             {"warnings", r.of(Severity::Warning)},
                              {"exit_code", static_cast<int>(r.exit_code)}};
+    for (const Finding& f : r.findings) j["findings"].push_back({{"severity", name_of(f.severity)}, {"part", f.part}, {"text", f.text}, {"remedy", f.remedy}});
     for (const ViewCheck& v : r.agreements)
         j["agreement"].push_back({{"name", v.name},
                                   {"silhouette_iou", v.agreement.iou},
@@ -178,26 +402,32 @@ std::string check_json(const CheckResult& r) {
 std::string check_text(const CheckResult& r) {
     std::string out = std::to_string(r.views) + " views";
     if (r.distance_median > 0) {
-        out += "; they look at (" + text_of(r.look_at_world.x(), 3) + ", " + text_of(r.look_at_world.y(), 3) + ", " + text_of(r.look_at_world.z(), 3) + "), missing it by " +
-               text_of(100 * r.look_at_miss, 1) + " % of their distance\n";
-        out += "distance " + text_of(r.distance_median, 3) + " (spread " + text_of(100 * r.distance_spread, 0) + " %), horizontal field of view " + text_of(r.fov_deg, 1) + " degrees\n";
+        out += "; they look at (" + fixed(r.look_at_world.x(), 3) + ", " + fixed(r.look_at_world.y(), 3) + ", " + fixed(r.look_at_world.z(), 3) + "), missing it by " +
+               fixed(100 * r.look_at_miss, 1) + " % of their distance\n";
+        out += "distance " + fixed(r.distance_median, 3) + " (spread " + fixed(100 * r.distance_spread, 0) + " %), horizontal field of view " + fixed(r.fov_deg, 1) + " degrees\n";
         if (r.up_world.norm() > 0)
-            out += "up (" + text_of(r.up_world.x()) + ", " + text_of(r.up_world.y()) + ", " + text_of(r.up_world.z()) + "), elevations " + text_of(r.elevation_min_deg, 0) + " to " +
-                   text_of(r.elevation_max_deg, 0) + " degrees, largest gap between azimuths " + text_of(r.largest_gap_deg, 0) + " degrees\n";
+            out += "up (" + fixed(r.up_world.x()) + ", " + fixed(r.up_world.y()) + ", " + fixed(r.up_world.z()) + "), elevations " + fixed(r.elevation_min_deg, 0) + " to " +
+                   fixed(r.elevation_max_deg, 0) + " degrees, largest gap between azimuths " + fixed(r.largest_gap_deg, 0) + " degrees\n";
     } else {
         out += "\n";
     }
+    if (r.object_size.maxCoeff() > 0)
+        out += text_of("the object is %.4g x %.4g x %.4g %s along x, y, z\n", r.object_size.x(), r.object_size.y(), r.object_size.z(), r.units_said.empty() ? "units (which is not said)" : r.units_said.c_str());
     if (!r.agreements.empty()) {
-        out += "silhouettes of the hull against the masks: median IoU " + text_of(r.median_iou, 4) + "; worst:\n";
+        out += "silhouettes of the hull against the masks: median IoU " + fixed(r.median_iou, 4) + (r.contour_off_px > 0 ? ", contours " + fixed(r.contour_off_px) + " px off the others' hull" : "") + "; worst:\n";
         for (size_t i = 0; i < r.agreements.size() && i < 5; ++i) {
             const SilhouetteAgreement& a = r.agreements[i].agreement;
-            out += "  " + r.agreements[i].name + "  IoU " + text_of(a.iou, 4) + ", contour p95 " + text_of(a.contour_p95_px, 1) + " px, p99 " + text_of(a.contour_p99_px, 1) + " px, largest missed blob " +
+            out += "  " + r.agreements[i].name + "  IoU " + fixed(a.iou, 4) + ", contour p95 " + fixed(a.contour_p95_px, 1) + " px, p99 " + fixed(a.contour_p99_px, 1) + " px, largest missed blob " +
                    std::to_string(a.largest_missed_blob_px) + " px, thin length lost " + std::to_string(a.thin_length_lost_px) + " px\n";
         }
     }
-    for (const std::string& e : r.errors) out += "CONTRADICTION: " + e + "\n";
-    for (const std::string& w : r.warnings) out += "warning: " + w + "\n";
-    if (r.errors.empty() && r.warnings.empty()) out += "nothing wrong was found\n";
+    bool wrong = false;
+    for (const Finding& f : r.findings) {
+        wrong |= f.severity != Severity::Note;
+        out += std::string(f.severity == Severity::Error ? (f.code == ExitCode::Contradiction ? "CONTRADICTION" : f.code == ExitCode::Undetermined ? "UNDETERMINED" : "ERROR") : name_of(f.severity)) + ": " + f.text + "\n";
+        if (!f.remedy.empty()) out += "  remedy: " + f.remedy + "\n";
+    }
+    if (!wrong) out += "nothing wrong was found\n";
     return out;
 }
 

@@ -24,7 +24,11 @@ openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const
     CarveOptions o;
     o.min_seen = min_seen;
     o.max_misses = max_misses;
-    o.bounds_world = automatic_bounds(inputs, used, 0, o, progress);
+    try {
+        o.bounds_world = automatic_bounds(inputs, used, 0, o, progress);
+    } catch (const openvdb::Exception&) {
+        throw InputError("the scene is too small for a volume's single precision. Remedy: cameras in a smaller unit");
+    }
     o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / resolution;
     // Cameras that ran away have no scale left to make voxels of.
     if (!(o.lattice.voxel_size > 1e-12) || !std::isfinite(o.lattice.voxel_size)) throw ContradictionError("the cameras leave no room for an object");

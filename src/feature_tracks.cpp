@@ -29,7 +29,7 @@ struct Features {
 Features features_of(const View& view, const MaskView& mask) {
     Features out;
     if (view.image_path.empty() || mask.coverage.empty()) return out;
-    const Image8 photo = io::read_grey(view.image_path, view.camera.intrinsics, view.lens);
+    const Image8 photo = io::read_grey(view.image_path, view.orientation, view.camera.intrinsics, view.lens);
     if (photo.width != mask.coverage.width || photo.height != mask.coverage.height) return out;
     // Away from the contour, whose look changes with what is behind.
     cv::Mat inside;

@@ -75,6 +75,21 @@ Image8 distort(ImageView<uint8_t> image, int margin, const Intrinsics& k, const 
     return unwrap(out);
 }
 
+double sharpness_of(const cv::Mat& grey) {
+    cv::Mat laplacian;
+    cv::Laplacian(grey, laplacian, CV_32F);
+    return laplacian.dot(laplacian) / static_cast<double>(laplacian.total());
+}
+
+double sharpness(ImageView<uint8_t> image) {
+    cv::Mat grey = wrap(image);
+    if (image.channels > 1) cv::cvtColor(wrap(image), grey, image.channels == 4 ? cv::COLOR_RGBA2GRAY : cv::COLOR_RGB2GRAY);
+    cv::Mat small;
+    const double factor = std::min(1.0, static_cast<double>(kSharpWidth_px) / grey.cols);
+    cv::resize(grey, small, cv::Size(), factor, factor, cv::INTER_AREA);
+    return sharpness_of(small);
+}
+
 Image8 blurred(ImageView<uint8_t> image, double sigma_px) {
     cv::Mat out;
     cv::GaussianBlur(wrap(image), out, cv::Size(), sigma_px, sigma_px, cv::BORDER_REPLICATE);

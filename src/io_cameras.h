@@ -20,6 +20,8 @@ namespace fs = std::filesystem;
 struct ImportedView {
     View view;
     double angle_x_rad = 0;
+    double focal_36mm = 0;                   ///< as on 36 mm wide film; > 0: the focal length once the size is known
+    Vec2d centre_36mm = Vec2d::Zero();       ///< the principal point from the middle on, likewise
 };
 
 struct Imported {
@@ -55,6 +57,13 @@ bool understands_metashape(const fs::path& file);
 Imported read_metashape(const fs::path& file);
 bool understands_bundler(const fs::path& file);
 Imported read_bundler(const fs::path& file);
+/// OpenMVG's and Meshroom's.
+bool understands_sfm(const fs::path& file);
+Imported read_sfm(const fs::path& file);
+bool understands_realitycapture(const fs::path& file);
+Imported read_realitycapture(const fs::path& file);
+bool understands_matlab(const fs::path& file);
+Imported read_matlab(const fs::path& file);
 bool understands_nvm(const fs::path& file);
 Imported read_nvm(const fs::path& file);
 

@@ -9,8 +9,8 @@
 namespace vdbcarve::io {
 namespace {
 
-double number_of(ExifData* data, ExifTag tag) {
-    const ExifEntry* e = exif_content_get_entry(data->ifd[EXIF_IFD_EXIF], tag);
+double number_of(ExifData* data, ExifTag tag, ExifIfd directory = EXIF_IFD_EXIF) {
+    const ExifEntry* e = exif_content_get_entry(data->ifd[directory], tag);
     if (!e || !e->data || e->components < 1) return 0;
     const ExifByteOrder order = exif_data_get_byte_order(data);
     if (e->format == EXIF_FORMAT_SHORT && e->size >= 2) return exif_get_short(e->data, order);
@@ -20,10 +20,20 @@ double number_of(ExifData* data, ExifTag tag) {
     return r.denominator ? static_cast<double>(r.numerator) / r.denominator : 0;
 }
 
+using Exif = std::unique_ptr<ExifData, decltype(&exif_data_unref)>;
+
+Exif exif_of(const std::filesystem::path& file) { return {exif_data_new_from_file(file.c_str()), exif_data_unref}; }
+
 }  // namespace
 
+int exif_orientation(const std::filesystem::path& file) {
+    const Exif data = exif_of(file);
+    const double said = data ? number_of(data.get(), EXIF_TAG_ORIENTATION, EXIF_IFD_0) : 1;
+    return said >= 1 && said <= 8 ? static_cast<int>(said) : 1;
+}
+
 double exif_focal_px(const std::filesystem::path& file, int width_px, int height_px) {
-    const std::unique_ptr<ExifData, decltype(&exif_data_unref)> data(exif_data_new_from_file(file.c_str()), exif_data_unref);
+    const Exif data = exif_of(file);
     if (!data) return 0;
     const double longer = std::max(width_px, height_px);
     if (const double film = number_of(data.get(), EXIF_TAG_FOCAL_LENGTH_IN_35MM_FILM); film > 0) return film / 36 * longer;

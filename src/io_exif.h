@@ -10,4 +10,7 @@ namespace vdbcarve::io {
 /// 0 where the file says neither.
 double exif_focal_px(const std::filesystem::path& file, int width_px, int height_px);
 
+/// 1..8: how the stored picture is turned to be shown (TIFF 6.0); 1, not at all, where the file says nothing.
+int exif_orientation(const std::filesystem::path& file);
+
 }  // namespace vdbcarve::io

@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Files of pictures; what needs no codec is in image_geometry.cpp and skeleton.cpp, so that programs that read none do without them.
+#include <fstream>
+#include <iterator>
+
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "io_codecs.h"
 #include "opencv_image.h"
 #include "vdbcarve/error.h"
 
@@ -11,41 +15,92 @@ namespace vdbcarve::io {
 
 namespace {
 
-/// Grey, RGB or RGBA, 8 or 16 bits.
-cv::Mat decode(const std::filesystem::path& file) {
+/// A file's pixels through the library for its kind.
+Decoded decode(const std::filesystem::path& file) {
+    const std::vector<uint8_t> bytes = file_bytes(file);
+    if (is_jpeg(bytes)) return decode_jpeg(bytes, file);
+    if (is_heif(bytes)) return decode_heif(bytes, file);
     cv::Mat m;
     try {
-        m = cv::imread(file.string(), cv::IMREAD_UNCHANGED | cv::IMREAD_IGNORE_ORIENTATION);
+        if (!bytes.empty()) m = cv::imdecode(bytes, cv::IMREAD_UNCHANGED | cv::IMREAD_IGNORE_ORIENTATION);
     } catch (const cv::Exception& e) {
         throw InputError(file.string() + ": " + e.what());
     }
-    if (m.empty()) {
-        if (!std::filesystem::exists(file)) throw InputError(file.string() + ": no such file");
-        throw InputError(file.string() + ": is not a picture that can be decoded, or is damaged");
-    }
+    if (m.empty()) throw InputError(file.string() + ": is not a picture that can be decoded, or is damaged");
     if (m.depth() != CV_8U && m.depth() != CV_16U) throw InputError(file.string() + ": has neither 8 nor 16 bits a channel");
     if (m.channels() == 3) cv::cvtColor(m, m, cv::COLOR_BGR2RGB);
     if (m.channels() == 4) cv::cvtColor(m, m, cv::COLOR_BGRA2RGBA);
     if (m.channels() == 2) throw InputError(file.string() + ": has two channels; grey, RGB and RGBA are read");
-    return m;
+    Decoded out;
+    if (m.depth() == CV_8U) out.photo.pixels8 = unwrap(m);
+    else out.photo.pixels16 = unwrap<uint16_t>(m);
+    out.icc_profile = embedded_profile(bytes, file);
+    return out;
 }
 
-}  // namespace
-
-Image8 read_image8(const std::filesystem::path& file) {
-    const cv::Mat m = decode(file);
-    if (m.depth() == CV_8U) return unwrap(m);
+Image8 rounded(Photo photo) {
+    if (photo.pixels16.empty()) return std::move(photo.pixels8);
     // (v * 255 + 32767) / 65535, rounded: 32767 -> 127, 32768 -> 128.
-    Image8 out(m.cols, m.rows, m.channels());
-    const Image16 wide = unwrap<uint16_t>(m);
+    const Image16& wide = photo.pixels16;
+    Image8 out(wide.width, wide.height, wide.channels);
     for (size_t i = 0; i < wide.data.size(); ++i) out.data[i] = static_cast<uint8_t>((wide.data[i] * 255u + 32767u) / 65535u);
     return out;
 }
 
-Photo read_photo(const std::filesystem::path& file) {
-    const cv::Mat m = decode(file);
-    if (m.depth() == CV_8U) return {unwrap(m), {}};
-    return {{}, unwrap<uint16_t>(m)};
+template <class T>
+Image<T> turn(Image<T> image, int orientation) {
+    if (orientation < 2 || orientation > 8 || image.empty()) return image;
+    const int w = image.width, h = image.height;
+    Image<T> out(orientation < 5 ? w : h, orientation < 5 ? h : w, image.channels);
+    for (int y = 0; y < out.height; ++y)
+        for (int x = 0; x < out.width; ++x) {
+            int sx = x, sy = y;
+            switch (orientation) {  // which corner of the stored picture is shown at the upper left (TIFF 6.0, Orientation)
+                case 2: sx = w - 1 - x; break;
+                case 3: sx = w - 1 - x, sy = h - 1 - y; break;
+                case 4: sy = h - 1 - y; break;
+                case 5: sx = y, sy = x; break;
+                case 6: sx = y, sy = h - 1 - x; break;
+                case 7: sx = w - 1 - y, sy = h - 1 - x; break;
+                default: sx = w - 1 - y, sy = x;
+            }
+            for (int c = 0; c < image.channels; ++c) out.at(x, y, c) = image.at(sx, sy, c);
+        }
+    return out;
+}
+
+}  // namespace
+
+std::vector<uint8_t> file_bytes(const std::filesystem::path& file, size_t limit) {
+    if (!std::filesystem::is_regular_file(file)) throw InputError(file.string() + ": no such file");
+    std::ifstream in(file, std::ios::binary);
+    std::vector<uint8_t> bytes(std::min<size_t>(limit, std::filesystem::file_size(file)));
+    in.read(reinterpret_cast<char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+    if (!in) throw InputError(file.string() + ": cannot be read");
+    return bytes;
+}
+
+Image8 turned(Image8 image, int orientation) { return turn(std::move(image), orientation); }
+
+Image8 read_image8(const std::filesystem::path& file) { return rounded(decode(file).photo); }
+
+Photo read_photo(const std::filesystem::path& file, int orientation) {
+    Decoded picture = decode(file);
+    convert_to_srgb(picture);
+    return {turn(std::move(picture.photo.pixels8), orientation), turn(std::move(picture.photo.pixels16), orientation)};
+}
+
+Image8 read_photo8(const std::filesystem::path& file, int orientation) { return rounded(read_photo(file, orientation)); }
+
+std::pair<int, int> stored_size(const std::filesystem::path& file) {
+    const std::vector<uint8_t> bytes = file_bytes(file, 4 << 20);  // a JPEG's header may hold a preview
+    if (bytes.size() >= 24 && bytes[0] == 0x89 && bytes[1] == 'P' && bytes[2] == 'N' && bytes[3] == 'G') {
+        const auto big = [&](size_t at) { return (bytes[at] << 24) | (bytes[at + 1] << 16) | (bytes[at + 2] << 8) | bytes[at + 3]; };
+        return {big(16), big(20)};
+    }
+    if (is_jpeg(bytes)) return jpeg_size(bytes, file);
+    const Image8 image = read_image8(file);
+    return {image.width, image.height};
 }
 
 std::vector<uint8_t> encode_png(ImageView<uint8_t> image) {
@@ -83,8 +138,8 @@ std::vector<uint8_t> encode_jpeg(ImageView<uint8_t> image, int quality, double f
     return bytes;
 }
 
-Image8 read_grey(const std::filesystem::path& file, const Intrinsics& intrinsics, const Lens& lens) {
-    Image8 photo = read_image8(file);
+Image8 read_grey(const std::filesystem::path& file, int orientation, const Intrinsics& intrinsics, const Lens& lens) {
+    Image8 photo = read_photo8(file, orientation);
     if (lens.distorts()) photo = undistort(photo.view(), intrinsics, lens, nullptr);
     if (photo.channels == 1) return photo;
     cv::Mat grey;

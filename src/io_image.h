@@ -12,13 +12,23 @@
 
 namespace vdbcarve::io {
 
-/// 8-bit pixels with 1 (grey), 3 (RGB) or 4 (RGBA) channels; 16-bit files are rounded to 8 bits in a way
-/// that keeps every pixel on its side of 1/2. EXIF orientation is not applied: cameras belong to the
-/// pixels as stored. Throws InputError naming the file.
+/// 8-bit pixels as stored, with 1 (grey), 3 (RGB) or 4 (RGBA) channels; 16-bit files are rounded to 8 bits in a way
+/// that keeps every pixel on its side of 1/2. For masks: neither EXIF orientation nor a colour profile is heeded. Throws InputError
+/// naming the file.
 Image8 read_image8(const std::filesystem::path& file);
 
-/// The same without rounding: the file's own 8 or 16 bits.
-Photo read_photo(const std::filesystem::path& file);
+/// A photograph with the file's own 8 or 16 bits: colours of an embedded profile become sRGB, and the picture is turned by an EXIF
+/// orientation (View::orientation; 1: left as stored). Throws InputError naming the file.
+Photo read_photo(const std::filesystem::path& file, int orientation = 1);
+
+/// The same in 8 bits, rounded like masks.
+Image8 read_photo8(const std::filesystem::path& file, int orientation = 1);
+
+/// A stored picture as its EXIF orientation (1..8) says that it is to be shown.
+Image8 turned(Image8 image, int orientation);
+
+/// Width and height as stored, from the header where that is simple. Throws InputError.
+std::pair<int, int> stored_size(const std::filesystem::path& file);
 
 /// PNG bytes of a grey, RGB or RGBA picture. Deterministic.
 std::vector<uint8_t> encode_png(ImageView<uint8_t> image);
@@ -30,11 +40,14 @@ Image8 undistort(ImageView<uint8_t> image, const Intrinsics& intrinsics, const L
 Photo undistort(const Photo& photo, const Intrinsics& intrinsics, const Lens& lens);
 
 /// Grey values of a photograph as a camera without distortion would have taken it, 8 bits.
-Image8 read_grey(const std::filesystem::path& file, const Intrinsics& intrinsics, const Lens& lens);
+Image8 read_grey(const std::filesystem::path& file, int orientation, const Intrinsics& intrinsics, const Lens& lens);
 
 /// What a camera with this lens sees of `image`, taken by the same camera without distortion but with `margin` more pixels on
 /// every side; the reverse of undistort. Linear interpolation.
 Image8 distort(ImageView<uint8_t> image, int margin, const Intrinsics& intrinsics, const Lens& lens);
+
+/// Mean square of the Laplacian of the grey picture, made 640 px wide: only pictures of the same thing compare.
+double sharpness(ImageView<uint8_t> image);
 
 /// Gaussian blur.
 Image8 blurred(ImageView<uint8_t> image, double sigma_px);

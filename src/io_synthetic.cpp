@@ -9,6 +9,7 @@
 #include "io_image.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/synthetic.h"
+#include "vdbcarve/video.h"
 
 namespace vdbcarve {
 
@@ -89,7 +90,7 @@ SyntheticSpec read_spec(const fs::path& file) {
         }
         if (j.contains("look")) {
             const json& l = j["look"];
-            known(l, {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif", "exposure_jitter", "flat", "light_drift", "backdrop", "spill", "plates"}, "look: ");
+            known(l, {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif", "film_rate_hz", "exposure_jitter", "flat", "light_drift", "backdrop", "spill", "plates"}, "look: ");
             PhotoLook& look = spec.look;
             look.gloss = l.value("gloss", look.gloss);
             look.table = l.value("table", look.table);
@@ -98,6 +99,7 @@ SyntheticSpec read_spec(const fs::path& file) {
             look.noise = l.value("noise", look.noise);
             look.jpeg_quality = l.value("jpeg_quality", look.jpeg_quality);
             look.exif = l.value("exif", look.exif);
+            look.film_rate_hz = l.value("film_rate_hz", look.film_rate_hz);
             look.exposure_jitter = l.value("exposure_jitter", look.exposure_jitter);
             look.flat = l.value("flat", look.flat);
             look.light_drift = l.value("light_drift", look.light_drift);
@@ -123,7 +125,7 @@ SyntheticSpec read_spec(const fs::path& file) {
     return spec;
 }
 
-Image8 read_texture(const fs::path& file) { return io::read_image8(file); }
+Image8 read_texture(const fs::path& file) { return io::read_photo8(file); }
 
 void write_scene(const SyntheticScene& scene, const fs::path& folder) {
     make_folder(folder / "masks");
@@ -153,6 +155,7 @@ void write_scene(const SyntheticScene& scene, const fs::path& folder) {
         for (View& v : named.views) v.image_path = folder / v.name;
         write_file(folder / name, cameras_json(named, folder));
     };
+    if (scene.look.film_rate_hz > 0 && !scene.photos.empty()) write_film(scene.photos, scene.look.film_rate_hz, folder / "film.mp4");
     cameras(scene.views, "transforms.json");
     cameras(scene.nominal, "transforms_nominal.json");
     write_mesh(folder / "truth.ply", scene.truth);

@@ -1,23 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // transforms.json (nerfstudio, instant-ngp, NeRF synthetic) and our own cameras.json, which extends it.
 // camera-to-world 4x4 in OpenGL axes (y up, looking along -z); pixel centres at (0.5, 0.5).
-#include <nlohmann/json.hpp>
 #include <set>
 
-#include "io_cameras.h"
+#include "atomic_file.h"
+#include "io_json.h"
 
 namespace vdbcarve::io {
 namespace {
 
 using nlohmann::json;
-
-json parse(const fs::path& file) {
-    try {
-        return json::parse(read_text(file));
-    } catch (const json::exception& e) {
-        throw InputError(file.string() + ": is not JSON: " + e.what());
-    }
-}
 
 /// Frame value, else the file's, else the fallback.
 double number(const json& frame, const json& top, const char* key, double fallback) {
@@ -99,7 +91,7 @@ Rigid3 camera_from_world_of(const Mat4d& world_from_camera_gl) {
 bool understands_transforms(const fs::path& file) {
     if (!fs::is_regular_file(file) || file.extension() != ".json") return false;
     try {
-        const json j = parse(file);
+        const json j = parse_json(file);
         return j.is_object() && j.contains("frames") && j["frames"].is_array() && !j["frames"].empty() &&
                j["frames"][0].is_object() && j["frames"][0].contains("transform_matrix");
     } catch (const Error&) {
@@ -114,7 +106,7 @@ Imported read_checked(const fs::path& file, const json& top);
 }  // namespace
 
 Imported read_transforms(const fs::path& file) {
-    const json top = parse(file);
+    const json top = parse_json(file);
     try {
         return read_checked(file, top);
     } catch (const json::exception& e) {
@@ -192,6 +184,7 @@ Imported read_checked(const fs::path& file, const json& top) {
                 k.orthographic = extra.value("orthographic", false);
                 v.view.sitting = extra.value("sitting", "0");
                 v.view.unused = extra.value("unused", "");
+                v.view.orientation = std::clamp(extra.value("orientation", 1), 1, 8);
             }
         } catch (const json::exception& e) {
             throw InputError(where + e.what());
@@ -264,6 +257,7 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
         f["vdbcarve"] = {{"sitting", view.sitting},
                          {"skew", k.skew},
                          {"orthographic", k.orthographic}};
+        if (view.orientation != 1) f["vdbcarve"]["orientation"] = view.orientation;
         if (!view.unused.empty()) f["vdbcarve"]["unused"] = view.unused;
         frames.push_back(f);
     }
@@ -279,6 +273,10 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
             {{"id", s.id}, {"scale", s.scale}, {"scene_from_sitting", rows_of(s.scene_from_sitting.matrix())}});
     }
     return top.dump(1) + "\n";
+}
+
+void write_cameras(const Views& views, const std::filesystem::path& file) {
+    write_file(file, cameras_json(views, file.has_parent_path() ? file.parent_path() : std::filesystem::path(".")));
 }
 
 }  // namespace vdbcarve

@@ -11,6 +11,7 @@
 
 #include "atomic_file.h"
 #include "io_cameras.h"
+#include "io_exif.h"
 #include "io_image.h"
 #include "mask_clean_up.h"
 #include "mask_files.h"
@@ -54,7 +55,7 @@ Histogram histogram_of(const Image8& channel) {
 double common_level(const Views& views, const std::vector<fs::path>& edited, MaskChannel channel) {
     std::vector<Histogram> histograms(views.views.size());
     tbb::parallel_for(size_t{0}, histograms.size(), [&](size_t i) {
-        if (i >= edited.size() || edited[i].empty()) histograms[i] = histogram_of(channel_of(io::read_image8(views.views[i].image_path), channel));
+        if (i >= edited.size() || edited[i].empty()) histograms[i] = histogram_of(channel_of(io::read_photo8(views.views[i].image_path), channel));
     });
     Histogram sum{};
     for (const Histogram& h : histograms)
@@ -96,6 +97,14 @@ Image8 mask_of_command(const View& view, const MaskOptions& options, Progress& p
     return made;
 }
 
+/// A mask of a photograph that its camera turns (EXIF): those who make masks heed the orientation or leave pixels as stored, and their
+/// picture's size tells which.
+Image8 like_photo(const View& view, Image8 mask) {
+    const Intrinsics& k = view.camera.intrinsics;
+    const bool as_stored = view.orientation >= 5 && mask.width == k.height_px && mask.height == k.width_px && mask.width != mask.height;
+    return as_stored ? io::turned(std::move(mask), view.orientation) : mask;
+}
+
 struct Made {
     Mask mask;
     std::string origin;
@@ -109,9 +118,7 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
     const Intrinsics& k = view.camera.intrinsics;
     const auto check_size = [&](const Image8& image, const fs::path& path, const char* what) {
         if (image.width == k.width_px && image.height == k.height_px) return;
-        throw InputError(path.string() + ": " + what + " of view " + view.name + " is " + std::to_string(image.width) + " x " +
-                         std::to_string(image.height) + ", its camera " + std::to_string(k.width_px) + " x " + std::to_string(k.height_px) +
-                         ". Remedy: give masks and images the size that the cameras were calibrated for");
+        throw InputError(other_size(path.string() + " (" + what + ")", image.width, image.height, view.name, k.width_px, k.height_px));
     };
     Mask& mask = out.mask;
     const MaskMethod method = options.method;
@@ -122,13 +129,13 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
         check_size(mask.coverage, edited, "the edited mask");
         out.origin = edited.string() + " (edited by hand)";
     } else if (!file.empty()) {
-        mask.coverage = grey_of(io::read_image8(file), file);
+        mask.coverage = like_photo(view, grey_of(io::read_image8(file), file));
         check_size(mask.coverage, file, "the mask");
         refuse_class_numbers(mask.coverage, file);
         out.origin = file.string();
     } else if (method == MaskMethod::Folder) {
         // A silhouette set has its masks as its images.
-        const Image8 image = io::read_image8(view.image_path);
+        const Image8 image = io::read_photo8(view.image_path, view.orientation);
         if (image.channels == 1 && is_two_level(image)) {
             check_size(image, view.image_path, "the image");
             mask.coverage = image;
@@ -138,7 +145,7 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
             return out;
         }
     } else {
-        const Image8 image = io::read_image8(view.image_path);
+        const Image8 image = io::read_photo8(view.image_path, view.orientation);
         check_size(image, view.image_path, "the image");
         const auto photo = [&](const char* what) {
             if (image.channels < 3) throw InputError(view.image_path.string() + ": is grey; " + what + " wants colour. Remedy: --mask threshold");
@@ -152,7 +159,7 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
             mask = chroma_mask(photo("chroma key"), options.chroma, options.clean_up);
         } else if (method == MaskMethod::CleanPlate) {
             const fs::path file = plate_file(view, scene, options);
-            const Image8 plate = io::read_image8(file);
+            const Image8 plate = io::read_photo8(file, view.orientation == 1 ? 1 : io::exif_orientation(file));
             check_size(plate, file, "the clean plate");
             if (plate.channels < 3) throw InputError(file.string() + ": is grey; a clean plate in colour is wanted");
             mask = plate_mask(photo("difference from the clean plate"), plate, options.plate, options.clean_up);
@@ -160,7 +167,7 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
             const Image8 seed = options.grabcut.from_threshold ? seed_of_mask(threshold_mask(image, options.threshold, options.clean_up).coverage, 0.02 * std::min(image.width, image.height)) : seed_of_box(image.width, image.height, options.grabcut.box_px);
             mask = grabcut_mask(photo("GrabCut"), seed, options.grabcut, options.clean_up);
         } else if (method == MaskMethod::Command) {
-            mask.coverage = mask_of_command(view, options, progress);
+            mask.coverage = like_photo(view, mask_of_command(view, options, progress));
             check_size(mask.coverage, view.image_path, "what --mask-command made");
             refuse_class_numbers(mask.coverage, view.image_path);
             out.origin = options.command + " on " + view.image_path.string();
@@ -195,7 +202,7 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
     if (options.invert && edited.empty())
         for (uint8_t& v : mask.coverage.data) v = static_cast<uint8_t>(255 - v);
     if (const fs::path ignore = ignore_mask_file(view, scene, options); !ignore.empty()) {
-        mask.ignore = grey_of(io::read_image8(ignore), ignore);
+        mask.ignore = like_photo(view, grey_of(io::read_image8(ignore), ignore));
         check_size(mask.ignore, ignore, "the ignore mask");
         for (uint8_t& v : mask.ignore.data) v = v >= 128 ? 255 : 0;
     }

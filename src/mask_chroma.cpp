@@ -46,7 +46,7 @@ void find_chroma_key(const std::vector<std::filesystem::path>& photos, ChromaOpt
         };
         std::vector<std::vector<Bin>> each(photos.size(), std::vector<Bin>(kBins * kBins));
         tbb::parallel_for(size_t{0}, photos.size(), [&](size_t i) {
-            const Image8 photo = io::read_image8(photos[i]);
+            const Image8 photo = io::read_photo8(photos[i]);
             if (photo.channels < 3) throw InputError(photos[i].string() + ": is grey: there is no colour to key. Remedy: --mask threshold");
             const int band = std::max(4, std::min(photo.width, photo.height) / 40);
             for (int y = 0; y < photo.height; ++y)
@@ -89,7 +89,7 @@ void find_chroma_key(const std::vector<std::filesystem::path>& photos, ChromaOpt
     std::vector<Histogram> histograms(photos.size());
     const Vec2d key = key_of(options);
     tbb::parallel_for(size_t{0}, photos.size(), [&](size_t i) {
-        const Image8 photo = io::read_image8(photos[i]);
+        const Image8 photo = io::read_photo8(photos[i]);
         if (photo.channels < 3) throw InputError(photos[i].string() + ": is grey: there is no colour to key. Remedy: --mask threshold");
         for (size_t p = 0; p < photo.pixels(); ++p) ++histograms[i][quantised(share_of_key(&photo.data[p * static_cast<size_t>(photo.channels)], key))];
     });

@@ -89,4 +89,15 @@ Image8 soft_edge(ImageView<uint8_t> photo, const cv::Mat& binary, ImageView<uint
     return out;
 }
 
+double contour_softness(ImageView<uint8_t> m) {
+    size_t soft = 0, crossings = 0;
+    for (int y = 0; y + 1 < m.height; ++y)
+        for (int x = 0; x + 1 < m.width; ++x) {
+            const int here = m.at(x, y);
+            soft += here > 8 && here < 247;
+            crossings += ((here < 128) != (m.at(x + 1, y) < 128)) || ((here < 128) != (m.at(x, y + 1) < 128));
+        }
+    return crossings ? std::min(1.0, static_cast<double>(soft) / static_cast<double>(crossings)) : 0;
+}
+
 }  // namespace vdbcarve

@@ -23,4 +23,8 @@ Image<T> unwrap(const cv::Mat& m) {
     return out;
 }
 
+/// sharpness() of a picture that is grey and small already.
+double sharpness_of(const cv::Mat& grey);
+inline constexpr int kSharpWidth_px = 640;
+
 }  // namespace vdbcarve::io

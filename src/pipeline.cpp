@@ -17,6 +17,7 @@
 #include "atomic_file.h"
 #include "carve_plan.h"
 #include "coarse_hull.h"
+#include "floor.h"
 #include "io_cameras.h"
 #include "io_image.h"
 #include "mask_consensus.h"
@@ -97,8 +98,14 @@ class Job {
 
     Reconstruction run() {
         check_options();
-        stage("views", [&] { load(); return false; });
-        if (!o_.dry_run) open_output();
+        const bool film = is_video(o_.views.scene);
+        stage("views", [&] {
+            const bool reused = film && film_to_photographs();
+            load();
+            if (film) angles_of_film();
+            return reused;
+        });
+        if (!o_.dry_run && !film) open_output();
         // A mat is found in the photographs; masks then come from pictures whose lens is known.
         const bool aligned_by_mat = o_.align.method == AlignMethod::Mat && o_.last_stage != LastStage::Mask;
         if (aligned_by_mat) stage("align", [&] { return align_views(); });
@@ -108,6 +115,7 @@ class Job {
             return finish();
         }
         if (!aligned_by_mat && (!views_.posed || o_.align_again)) stage("align", [&] { return align_views(); });
+        if (o_.floor_from != FloorFrom::File) stage("floor", [&] { return find_floor(); });
         if (o_.last_stage == LastStage::Align) {
             place_alignment();
             return finish();
@@ -173,6 +181,8 @@ class Job {
         const auto need = [&](bool ok, const std::string& what) {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
         };
+        need(o_.floor_from != FloorFrom::Found || o_.align.method != AlignMethod::Mat, "--floor auto: the mat says where the floor is");
+        need(std::isfinite(o_.floor), "--floor is not finite");
         need(o_.views.units.empty() || metres_per(o_.views.units), "--units " + o_.views.units + ": is none of m, cm, mm, km, inch, ft");
         const MaskOptions& m = o_.mask;
         const bool by_threshold = m.method == MaskMethod::Threshold || (m.method == MaskMethod::GrabCut && m.grabcut.from_threshold);
@@ -228,6 +238,45 @@ class Job {
         if (!o_.config_text.empty()) write_file(place_ / "config.toml", o_.config_text);
     }
 
+    /// The scene is a film: its frames, in stages/, are the scene from here on.
+    bool film_to_photographs() {
+        const fs::path file = o_.views.scene;
+        if (o_.dry_run) throw UsageError("--dry-run: " + file.string() + " is a film, of which frames are to be taken first. Remedy: vdbcarve mask, then its folder in OUT/stages as the scene");
+        if (!o_.views.images.empty()) throw UsageError("--images: " + file.string() + " is a film, its frames are the photographs. Remedy: without it");
+        open_output();
+        Sha256 h;
+        h.add("frames").add_value(kCodeVersion).add(sha256_of_file(file)).add_value(o_.video.frames).add_value(o_.video.from_s).add_value(o_.video.to_s);
+        const fs::path folder = store_.path("frames", h.hex(), ""), said = folder / "frames.json";
+        bool reused = fs::exists(said);
+        if (reused) {
+            film_ = read_video_json(said);
+            for (const VideoFrame& f : film_.frames) reused = reused && fs::exists(folder / f.name);
+        }
+        if (!reused) {
+            const fs::path part = o_.output / "stages" / ".frames.part";
+            film_ = extract_frames(file, part, o_.video, progress_);
+            fs::remove_all(folder);
+            fs::rename(part, folder);
+        }
+        for (const std::string& w : film_.warnings) progress_.warn(w);
+        progress_.note(text_of("%zu of %zu frames of %s (%.1f s) are the photographs; they are in %s", film_.frames.size(), film_.looked_at, file.c_str(), film_.duration_s, folder.c_str()));
+        report_["video"] = json::parse(video_json(film_));
+        report_["video"]["file"] = file.string();
+        o_.views.scene = folder;
+        return reused;
+    }
+
+    /// A motor turns evenly in time, which is known of each frame. Of a walk, frames an even motion apart are what is known, and their steps are
+    /// taken for even.
+    void angles_of_film() {
+        AlignOptions& a = o_.align;
+        if (!finds_cameras() || a.orbit != Orbit::Turntable || a.method != AlignMethod::Coherence || !a.angles_deg.empty() || !a.arc_known || !a.rings.empty() || !a.sittings.empty() || film_.frames.size() != views_.views.size()) return;
+        const double first = film_.frames.front().time_s, steps = static_cast<double>(film_.frames.size());
+        const double span = (film_.frames.back().time_s - first) * steps / (steps - 1);
+        for (const VideoFrame& f : film_.frames) a.angles_deg.push_back(a.arc_deg * (f.time_s - first) / span);
+        a.arc_deg = AlignOptions().arc_deg;  // the angles say it
+    }
+
     void load() {
         ViewsOptions wanted = o_.views;
         wanted.allow_unposed = true;
@@ -260,6 +309,8 @@ class Job {
         if (!finds_cameras() && o_.last_stage != LastStage::Mask && !views_.unverified.empty()) doubt(views_.unverified, views_.camera_file.string() + ": its cameras were found, but are UNVERIFIED");
         if (views_.posed && o_.align_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
             progress_.note("of " + views_.camera_file.string() + " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
+        if (o_.floor_from != FloorFrom::File && o_.last_stage != LastStage::Mask && up().empty() && !finds_cameras()) throw UsageError("--floor: the scene does not say which way is up. Remedy: --up");
+        if (o_.floor_from == FloorFrom::Found && o_.dry_run) throw UsageError("--dry-run: the floor is to be found first. Remedy: --floor HEIGHT");
         if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
         if (o_.stl_mm && !mat) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(counted(views_.views.size(), "view") + " from " + views_.camera_file.string() + " (" + views_.format + ")");
@@ -320,7 +371,7 @@ class Job {
         h.add_value(m.grabcut.from_threshold).add_value(m.grabcut.iterations).add(m.command);
         for (size_t i = 0; i < n; ++i) {
             const View& v = views_.views[i];
-            h.add(v.name).add(file_hashes[i]).add_value(v.lens.model).add_value(!edited[i].empty());
+            h.add(v.name).add(file_hashes[i]).add_value(v.orientation).add_value(v.lens.model).add_value(!edited[i].empty());
             for (double c : v.lens.coefficients) h.add_value(c);
             if (v.lens.distorts()) add_camera(h, v.camera);
             h.add_value(v.camera.intrinsics.width_px).add_value(v.camera.intrinsics.height_px);
@@ -499,6 +550,51 @@ class Job {
         for (const auto& [from, to] : copies) place_copy(from, to);
     }
 
+    // --------------------------------------------------------------------------------------- floor
+
+    using FloorFrom = ReconstructOptions::FloorFrom;
+
+    /// Where the object stands, into views_.floor.
+    bool find_floor() {
+        if (up().empty()) throw UsageError("--floor: which way is up? Remedy: --up");
+        if (o_.floor_from == FloorFrom::Given) {
+            views_.floor = o_.floor;
+            report_["floor"] = {{"height", o_.floor}, {"from", "given"}};
+            return false;
+        }
+        Sha256 h;
+        h.add("floor").add_value(kCodeVersion).add(mask_key_).add(up());
+        for (const Camera& c : views_.cameras()) add_camera(h, c);
+        for (const size_t i : used_) h.add_value(i);
+        const fs::path file = store_.path("floor", h.hex(), ".json");
+        auto note = stage_note(file, {"floor", "warnings"});
+        const bool reused = note.has_value();
+        if (reused) {
+            warn_again(*note);
+        } else {
+            const size_t before = progress_.warnings().size();
+            const std::vector<MaskView> masks = used_mask_views();
+            const std::vector<Camera> cameras = views_.cameras();
+            const auto hull = coarse_hull(views_.names(), cameras, masks, 192, o_.min_seen, progress_);
+            const std::optional<Floor> table = find_table(*hull, cameras, masks, [&](size_t i) { return photo_to_show(views_.views[i]); }, up_direction(), progress_);
+            json found;
+            if (table) {
+                found = {{"height", table->height}, {"from", "photographs"}, {"likeness", table->likeness}, {"next_best", table->next_best}};
+            } else {
+                const SeenExtent seen = seen_extent(*hull, cameras, masks, up_direction());
+                if (!seen.bottom_seen) throw UndeterminedError("--floor auto: the photographs show no table (a pattern on it is needed), and every silhouette is cut by its frame below. Remedy: --floor HEIGHT");
+                found = {{"height", seen.lowest}, {"from", "lowest contour"}};
+                progress_.warn(text_of("--floor auto: the photographs show no table (a pattern on it is needed); the floor is put where the lowest contour was seen, at %.5g. A reflection in the masks would lower it. Remedy: --floor HEIGHT, where that is wrong", seen.lowest));
+            }
+            write_file(file, json{{"floor", found}, {"warnings", warnings_since(before)}}.dump(1) + "\n");
+            note = stage_note(file, {"floor", "warnings"});
+        }
+        report_["floor"] = (*note)["floor"];
+        views_.floor = report_["floor"]["height"].get<double>();
+        progress_.note(text_of("the floor is at %.5g along %s (%s)", *views_.floor, up().c_str(), report_["floor"]["from"].get<std::string>().c_str()));
+        return reused;
+    }
+
     // --------------------------------------------------------------------------------------- align
 
     bool align_views() {
@@ -508,7 +604,7 @@ class Job {
         const bool by_mat = a.method == AlignMethod::Mat;
         if (by_mat) {  // before there are masks
             for (const View& v : views_.views) {
-                h.add(v.name).add(v.image_path.empty() ? "" : sha256_of_file(v.image_path)).add_value(v.lens.model);
+                h.add(v.name).add(v.image_path.empty() ? "" : sha256_of_file(v.image_path)).add_value(v.orientation).add_value(v.lens.model);
                 for (double x : v.lens.coefficients) h.add_value(x);
             }
             h.add_value(a.mat->kind).add_value(a.mat->columns).add_value(a.mat->rows).add_value(a.mat->marker_m).add_value(a.mat->step_m).add(a.mat->dictionary);
@@ -1114,7 +1210,7 @@ class Job {
 
     bool make_surface() {
         Sha256 h;
-        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).add_value(o_.flat_base).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add(o_.flat_base || views_.floor ? up() : "").hex();
+        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).add_value(o_.flat_base).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.floor_clear).add_value(o_.floor_from != FloorFrom::File).add(o_.flat_base || views_.floor ? up() : "").hex();
         const fs::path file = store_.path("surface", surface_key_, ".vdb"), note_file = store_.path("surface", surface_key_, ".json");
         if (const auto note = stage_note(note_file, {"warnings"}); note && fs::exists(file)) {
             surface_ = read_float_grid(file, "surface");
@@ -1141,6 +1237,11 @@ class Job {
         hull_.reset();
         if (views_.floor) {
             surface_ = cut_flat(std::move(surface_), up_direction(), *views_.floor, progress_);
+            if (o_.floor_clear > 0 || (o_.floor_clear < 0 && o_.floor_from != FloorFrom::File)) {
+                const double clear = o_.floor_clear > 0 ? o_.floor_clear : kFloorClear * height_above_floor();
+                surface_ = clear_floor(std::move(surface_), up_direction(), *views_.floor, clear, 1.25 * slope_of_views(*surface_, used_cameras(), up_direction(), *views_.floor), progress_);
+                if (report_.contains("floor")) report_["floor"]["clear"] = clear;
+            }
             surface_on_device_ = false;
         }
         if (o_.flat_base) {
@@ -1157,27 +1258,51 @@ class Job {
         return false;
     }
 
+    /// Points along the mesh's outline just above a floor, a few to each face that it crosses.
+    static std::vector<Vec3d> section(const Mesh& mesh, const Vec3d& axis, double floor) {
+        double highest = floor;
+        const auto at = [&](uint32_t v) { return Vec3d(mesh.vertices[v][0], mesh.vertices[v][1], mesh.vertices[v][2]); };
+        for (uint32_t v = 0; v < mesh.vertices.size(); ++v) highest = std::max(highest, at(v).dot(axis));
+        const double height = floor + 0.004 * (highest - floor);
+        std::vector<Vec3d> out;
+        for (const auto& t : mesh.triangles) {
+            std::vector<Vec3d> ends;
+            for (size_t c = 0; c < 3; ++c) {
+                const Vec3d a = at(t[c]), b = at(t[(c + 1) % 3]);
+                const double da = a.dot(axis) - height, db = b.dot(axis) - height;
+                if ((da < 0) != (db < 0)) ends.push_back(a + da / (da - db) * (b - a));
+            }
+            if (ends.size() == 2)
+                for (int k = 0; k < 4; ++k) out.push_back(ends[0] + 0.25 * k * (ends[1] - ends[0]));
+        }
+        return out;
+    }
+
+    static constexpr double kFloorClear = 0.01;  ///< of the object's height
+
+    /// Of the surface, along up.
+    double height_above_floor() const {
+        double highest = *views_.floor;
+        const Vec3d axis = up_direction();
+        for (auto leaf = surface_->tree().cbeginLeaf(); leaf; ++leaf)
+            for (auto v = leaf->cbeginValueOn(); v; ++v)
+                if (*v < 0) {
+                    const openvdb::Vec3d x = surface_->indexToWorld(v.getCoord());
+                    highest = std::max(highest, Vec3d(x.x(), x.y(), x.z()).dot(axis));
+                }
+        return highest - *views_.floor;
+    }
+
     SeenExtent seen_silhouettes() const {
         return seen_extent(*surface_, views_.cameras(), used_mask_views(), up_direction());
     }
 
     // --------------------------------------------------------------------------------------- filter
 
-    /// The share of the contour's pixels that are neither object nor background: about 1 where masks are soft, 0 where they are not; the median over
-    /// views.
+    /// Of the masks that are carved with, the median.
     double mask_softness() const {
         std::vector<double> all(used_.size());
-        tbb::parallel_for(size_t{0}, used_.size(), [&](size_t u) {
-            const Image8& m = masks_.masks[used_[u]].coverage;
-            size_t soft = 0, crossings = 0;
-            for (int y = 0; y + 1 < m.height; ++y)
-                for (int x = 0; x + 1 < m.width; ++x) {
-                    const int here = m.at(x, y);
-                    soft += here > 8 && here < 247;
-                    crossings += ((here < 128) != (m.at(x + 1, y) < 128)) || ((here < 128) != (m.at(x, y + 1) < 128));
-                }
-            all[u] = crossings ? std::min(1.0, static_cast<double>(soft) / static_cast<double>(crossings)) : 0;
-        });
+        tbb::parallel_for(size_t{0}, used_.size(), [&](size_t u) { all[u] = contour_softness(masks_.masks[used_[u]].coverage); });
         return median(all);
     }
 
@@ -1272,7 +1397,7 @@ class Job {
         const View& first = views_.views[used_.front()];
         if (first.image_path.empty() || first.lens.distorts()) return false;
         try {
-            const Image8 photo = io::read_image8(first.image_path);
+            const Image8 photo = io::read_photo8(first.image_path, first.orientation);
             return photo.channels == 1 && photo.data == masks_.masks[used_.front()].coverage.data;
         } catch (const InputError&) {
             return false;
@@ -1655,7 +1780,7 @@ class Job {
         }
         if (weak_count)
             progress_.warn(std::to_string(weak_count) + " views agree with the result by less than 0.9 (silhouette IoU): " + weak +
-                           (weak_count > 5 ? " …" : "") + ": look at their masks and cameras");
+                           (weak_count > 5 ? " …" : "") + (report_.contains("floor") ? ": shadows and reflections that masks took for the object count as missed below --floor; else look at their masks and cameras" : ": look at their masks and cameras"));
         for (json& view : report_["views"])
             if (const auto found = color_views_.find(view["name"].get<std::string>()); found != color_views_.end()) view.update(*found);
         for (const std::string& name : views_.left_out)
@@ -1670,8 +1795,7 @@ class Job {
     Image8 photo_to_show(const View& v) {
         if (v.image_path.empty()) return {};
         try {
-            const Image8 photo = io::read_image8(v.image_path);
-            return v.lens.distorts() ? io::undistort(photo, v.camera.intrinsics, v.lens, nullptr) : photo;
+            return load_photo8(v);
         } catch (const InputError& e) {
             progress_.warn(std::string(e.what()) + "; the preview shows it black");  // carving needed its mask only
             return {};
@@ -1701,6 +1825,7 @@ class Job {
     void preview(const Views& views, const std::vector<size_t>& which, const fs::path& file) {
         const size_t shown = which.size();
         const std::vector<Camera> cameras = views.cameras();
+        const std::vector<Vec3d> cut = views.floor && !up().empty() ? section(mesh_, up_direction(), *views.floor) : std::vector<Vec3d>();
         std::vector<PreviewView> tiles(shown);
         tbb::parallel_for(size_t{0}, shown, [&](size_t s) {
             const size_t i = which[s];
@@ -1711,6 +1836,7 @@ class Job {
             tiles[s].thin_lost = agreement_[i].thin_lost;
             tiles[s].missed_blob = agreement_[i].missed_blob;
             tiles[s].photo = photo_to_show(v);
+            tiles[s].cut_world = cut;
         });
         Image8 sheet = preview_sheet(mesh_, tiles);
         if (!views_.unverified.empty()) io::stamp(sheet, "UNVERIFIED");
@@ -1723,6 +1849,7 @@ class Job {
         report_["peak_rss_bytes"] = peak_bytes_;
         report_["backend"] = backend_used_;
         report_["warnings"] = progress_.warnings();
+        report_["scene"] = {{"folder", fs::absolute(o_.views.scene).string()}, {"images", o_.views.images.string()}};
         report_["cameras"] = {{"file", views_.camera_file.string()}, {"format", views_.format}, {"up", views_.up}, {"units", views_.units}};
         Reconstruction out;
         out.report_json = report_.dump(1) + "\n";
@@ -1737,10 +1864,11 @@ class Job {
         return out;
     }
 
-    const ReconstructOptions& o_;
+    ReconstructOptions o_;  ///< as given; of a film, about its frames
     Progress& progress_;
     StageStore store_;
     json report_;
+    VideoFrames film_;
     Views views_;
     Masks masks_;
     std::vector<std::string> mask_names_;
@@ -1801,6 +1929,22 @@ std::vector<std::string> mask_names(const Views& views) {
 Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress) {
     openvdb::initialize();
     return Job(options, progress).run();
+}
+
+Views result_views(const fs::path& output, const fs::path& images, Progress& progress) {
+    ViewsOptions options;
+    const json report = parse_or_empty(output / "report.json");
+    try {
+        options.scene = report.at("scene").at("folder").get<std::string>();
+        options.images = report.at("scene").at("images").get<std::string>();
+    } catch (const json::exception&) {
+        // A report of before says nothing; --images may.
+    }
+    if (!images.empty()) options.images = images;
+    if (!fs::is_directory(options.scene)) options.scene = output;
+    options.cameras = fs::absolute(output / "cameras.json");
+    options.cameras_only = true;
+    return load_views(options, progress);
 }
 
 FileFrame frame_from_scene(const fs::path& output, const std::string& file) {

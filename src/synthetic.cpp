@@ -647,6 +647,31 @@ SyntheticSpec builtin_spec(const std::string& name) {
     return spec;
 }
 
+namespace {
+
+/// How a hand is off, -1..1: azimuth, elevation, place and aim along x, y, z, roll.
+using Hand = std::array<double, 9>;
+
+/// Anew for every photograph; of a film, anew four times a second and smooth between.
+std::vector<Hand> hands_of(size_t views, double film_rate_hz, uint64_t seed) {
+    constexpr double kTremor_hz = 4;
+    const double frames = film_rate_hz > 0 ? std::max(1.0, film_rate_hz / kTremor_hz) : 1;
+    Dice dice(seed);
+    std::vector<Hand> knots(static_cast<size_t>(static_cast<double>(views) / frames) + 2), out;
+    for (Hand& h : knots)
+        for (double& x : h) x = dice();
+    for (size_t i = 0; i < views; ++i) {
+        const double at = static_cast<double>(i) / frames;
+        const auto before = static_cast<size_t>(at);
+        const double share = 0.5 - 0.5 * std::cos(kPi * (at - static_cast<double>(before)));
+        out.push_back({});
+        for (size_t x = 0; x < 9; ++x) out.back()[x] = (1 - share) * knots[before][x] + share * knots[before + 1][x];
+    }
+    return out;
+}
+
+}  // namespace
+
 SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     const Rig& rig = spec.rig;
     std::string bad;
@@ -694,7 +719,7 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     SyntheticScene scene;
     scene.look = spec.look;
     scene.truth = object.truth();
-    Dice dice(spec.seed);
+    const std::vector<Hand> hands = hands_of(where.size(), spec.look.film_rate_hz, spec.seed);
     std::vector<double> azimuths;
     for (size_t i = 0; i < where.size(); ++i) {
         const auto place = [&](double azimuth, double elevation) {
@@ -707,11 +732,12 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         view.sitting = in_second(i) ? "1" : "0";
         view.camera = look_at(place(where[i].azimuth_rad, where[i].elevation_rad), object.centre(), 0, k);
         scene.nominal.views.push_back(view);
-        const double azimuth = where[i].azimuth_rad + rad(rig.shake_angle_deg) * dice(), elevation = where[i].elevation_rad + rad(rig.shake_elevation_deg) * dice();
+        const Hand& hand = hands[i];
+        const double azimuth = where[i].azimuth_rad + rad(rig.shake_angle_deg) * hand[0], elevation = where[i].elevation_rad + rad(rig.shake_elevation_deg) * hand[1];
         Vec3d moved, aim;
-        for (int a = 0; a < 3; ++a) {
-            moved[a] = rig.shake_position * distance * dice();
-            aim[a] = rig.shake_look_at * distance * dice();
+        for (size_t a = 0; a < 3; ++a) {
+            moved[static_cast<int>(a)] = rig.shake_position * distance * hand[2 + 2 * a];
+            aim[static_cast<int>(a)] = rig.shake_look_at * distance * hand[3 + 2 * a];
         }
         Intrinsics breathed = k;
         const double factor = 1 + rig.breathing * std::sin(2 * kPi * 1.7 * static_cast<double>(i) / static_cast<double>(where.size()) + 0.6);
@@ -720,7 +746,7 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         const double passed = 2 * kPi * static_cast<double>(i) / static_cast<double>(where.size());
         breathed.cx += rig.crop_drift_px * std::sin(2.3 * passed + 1.1);
         breathed.cy += rig.crop_drift_px * std::sin(1.4 * passed + 2.6);
-        view.camera = look_at(place(azimuth, elevation) + moved, object.centre() + aim, rad(rig.shake_roll_deg) * dice(), breathed);
+        view.camera = look_at(place(azimuth, elevation) + moved, object.centre() + aim, rad(rig.shake_roll_deg) * hand[8], breathed);
         scene.views.views.push_back(view);
         azimuths.push_back(azimuth);
     }

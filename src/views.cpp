@@ -9,10 +9,13 @@
 #include <optional>
 #include <set>
 #include <tuple>
+#include <type_traits>
 
 #include "io_cameras.h"
 #include "io_exif.h"
 #include "io_image.h"
+#include "statistics.h"
+#include "text.h"
 
 namespace vdbcarve {
 
@@ -44,22 +47,12 @@ bool natural_less(const std::string& a, const std::string& b) {
     return rest_a != rest_b ? rest_a < rest_b : a < b;  // "img01" and "img1" still have an order
 }
 
-std::pair<int, int> image_size(const fs::path& file) {
-    std::ifstream in(file, std::ios::binary);
-    if (!in) throw InputError(file.string() + ": cannot be opened");
-    std::array<unsigned char, 26> head{};
-    in.read(reinterpret_cast<char*>(head.data()), head.size());
-    const auto big = [&](size_t at) { return (head[at] << 24) | (head[at + 1] << 16) | (head[at + 2] << 8) | head[at + 3]; };
-    if (in && head[0] == 0x89 && head[1] == 'P' && head[2] == 'N' && head[3] == 'G') return {big(16), big(20)};
-    // Everything else through the decoder (JPEG headers are not simple: EXIF may turn the picture).
-    const Image8 image = io::read_image8(file);
-    return {image.width, image.height};
-}
-
 namespace {
 
 using io::Importer;
 using io::in_scene;
+
+constexpr double kZoomed = 0.02;  ///< of the focal length: more than focusing does
 
 constexpr Importer kTransforms{"transforms.json", io::understands_transforms, io::read_transforms};
 constexpr Importer kColmap{"COLMAP", io::understands_colmap, io::read_colmap};
@@ -69,7 +62,18 @@ constexpr Importer kFileStorage{"OpenCV", io::understands_filestorage, io::read_
 constexpr Importer kMetashape{"Metashape", io::understands_metashape, io::read_metashape};
 constexpr Importer kBundler{"Bundler", io::understands_bundler, io::read_bundler};
 constexpr Importer kNvm{"VisualSFM", io::understands_nvm, io::read_nvm};
-constexpr const Importer* kImporters[] = {&kTransforms, &kColmap, &kMiddlebury, &kProjections, &kFileStorage, &kMetashape, &kBundler, &kNvm};
+constexpr Importer kSfm{"OpenMVG or Meshroom", io::understands_sfm, io::read_sfm};
+constexpr Importer kRealityCapture{"RealityCapture", io::understands_realitycapture, io::read_realitycapture};
+constexpr Importer kMatlab{"MATLAB", io::understands_matlab, io::read_matlab};
+constexpr const Importer* kImporters[] = {&kTransforms, &kColmap, &kMiddlebury, &kProjections, &kFileStorage, &kMetashape, &kBundler, &kNvm, &kSfm, &kRealityCapture, &kMatlab};
+
+/// Extensions of photographs.
+const std::vector<std::string> kPictures{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp", ".heic", ".heif", ".avif"};
+
+std::string upper_case(std::string text) {
+    for (char& c : text) c = static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
+    return text;
+}
 
 struct Candidate {
     fs::path path;
@@ -100,15 +104,15 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
             if (importer->understands(given)) return Candidate{given, importer};
         throw InputError(given.string() +
                          ": not a camera file that is understood (transforms.json, COLMAP folder, *_par.txt, "
-                         "3x4 matrices as .pa or text, OpenCV's .yml, .xml or .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm)");
+                         "3x4 matrices as .pa or text, OpenCV's .yml, .xml or .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm, OpenMVG's .json, Meshroom's .sfm, RealityCapture's .csv, MATLAB's .mat)");
     }
     std::vector<fs::path> candidates;
-    for (const char* name : {"transforms.json", "transforms_train.json", "cameras.json", "sparse/0", "sparse", "colmap", "."})
+    for (const char* name : {"transforms.json", "transforms_train.json", "cameras.json", "sfm_data.json", "sparse/0", "sparse", "colmap", "."})
         candidates.push_back(name == std::string(".") ? options.scene : options.scene / name);
     for (const fs::path& f : files_ending(options.scene, "_par.txt")) candidates.push_back(f);
     const std::vector<fs::path> pa = files_ending(options.scene, ".pa");
     if (!pa.empty()) candidates.push_back(pa.front());
-    for (const char* ending : {".xml", ".yml", ".yaml", ".out", ".nvm"})
+    for (const char* ending : {".xml", ".yml", ".yaml", ".mat", ".out", ".nvm", ".sfm", ".csv"})
         for (const fs::path& f : files_ending(options.scene, ending)) candidates.push_back(f);
     for (const fs::path& candidate : candidates) {
         if (!fs::exists(candidate)) continue;
@@ -122,7 +126,7 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
     if (options.allow_unposed) return std::nullopt;
     throw InputError(options.scene.string() +
                      ": no cameras found (looked for transforms.json, transforms_train.json, cameras.json, COLMAP in "
-                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa, *.xml, *.yml, *.out, *.nvm). Remedy: --cameras FILE, or vdbcarve align to find them");
+                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa, *.xml, *.yml, *.mat, *.out, *.nvm, *.sfm, *.csv). Remedy: --cameras FILE, or vdbcarve align to find them");
 }
 
 /// Finds image files by the names that camera files use.
@@ -144,11 +148,12 @@ class ImageFinder {
         }
         for (const fs::path& place : places) {
             if (fs::is_regular_file(place)) return place;
-            for (const char* ext : {".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp"}) {
-                fs::path with = place;
-                with += ext;
-                if (fs::is_regular_file(with)) return with;
-            }
+            for (const std::string& ext : kPictures)
+                for (const bool shout : {false, true}) {
+                    fs::path with = place;
+                    with += shout ? upper_case(ext) : ext;
+                    if (fs::is_regular_file(with)) return with;
+                }
         }
         return {};
     }
@@ -181,14 +186,41 @@ fs::path photo_folder(const ViewsOptions& options) {
 std::vector<std::string> photos_in(const fs::path& folder) {
     if (!fs::is_directory(folder)) throw InputError(folder.string() + ": no such folder");
     std::vector<std::string> names;
-    static const std::set<std::string> extensions{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp"};
     for (const auto& entry : fs::directory_iterator(folder)) {
         std::string ext = entry.path().extension().string();
         std::transform(ext.begin(), ext.end(), ext.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-        if (entry.is_regular_file() && extensions.count(ext)) names.push_back(entry.path().filename().string());
+        if (entry.is_regular_file() && std::find(kPictures.begin(), kPictures.end(), ext) != kPictures.end()) names.push_back(entry.path().filename().string());
     }
     std::sort(names.begin(), names.end(), natural_less);
     return names;
+}
+
+/// What EXIF says of the lens; and where somebody zoomed, which views.
+void say_focal_lengths(const Views& views, Progress& progress) {
+    const auto share = [](const View& v) { return v.camera.intrinsics.fx / std::max(v.camera.intrinsics.width_px, v.camera.intrinsics.height_px); };
+    std::vector<double> shares;
+    for (const View& v : views.views) shares.push_back(share(v));
+    const double middle = median(shares);
+    std::vector<std::string> others;
+    for (const View& v : views.views)
+        if (std::abs(share(v) / middle - 1) > kZoomed) others.push_back(v.name + " (" + std::to_string(std::lround(36 * share(v))) + " mm)");
+    progress.note("focal length from the photographs: " + std::to_string(std::lround(36 * middle)) + " mm on 35 mm film, " + std::to_string(std::lround(views.views.front().camera.intrinsics.fx)) + " px");
+    if (!others.empty())
+        progress.warn("the lens was zoomed: most photographs say " + std::to_string(std::lround(36 * middle)) + " mm on 35 mm film, not so " + some_of(others) +
+                      ". Cameras are found for one lens. Remedy: take these out (or the others, if they are few), or cameras of another program");
+}
+
+/// Pictures of several sizes are of several cameras, or were cropped.
+void say_sizes(const Views& views, Progress& progress) {
+    std::map<std::pair<int, int>, std::vector<std::string>> sizes;
+    for (const View& v : views.views) {
+        const Intrinsics& k = v.camera.intrinsics;
+        sizes[{std::max(k.width_px, k.height_px), std::min(k.width_px, k.height_px)}].push_back(v.name);  // a camera may be held both ways
+    }
+    if (sizes.size() < 2) return;
+    std::string text;
+    for (const auto& [size, names] : sizes) text += (text.empty() ? "" : "; ") + std::to_string(size.first) + " x " + std::to_string(size.second) + ": " + some_of(names);
+    progress.warn("photographs have different sizes: " + text + ". They are taken for the whole pictures of one lens, made smaller; what was cropped, or is another camera's, does not fit. Remedy: pictures as they came from the camera");
 }
 
 /// Photographs alone, or, where there are none, masks.
@@ -210,7 +242,9 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
         v.name = names[i];
         v.image_path = folder / names[i];
         Intrinsics& k = v.camera.intrinsics;
-        std::tie(k.width_px, k.height_px) = image_size(v.image_path);
+        std::tie(k.width_px, k.height_px) = io::stored_size(v.image_path);
+        v.orientation = io::exif_orientation(v.image_path);
+        if (v.orientation >= 5) std::swap(k.width_px, k.height_px);
         k.fx = k.fy = io::exif_focal_px(v.image_path, k.width_px, k.height_px);
         k.cx = 0.5 * k.width_px;
         k.cy = 0.5 * k.height_px;
@@ -218,9 +252,12 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
     }
     // A focal length for some helps nobody: they are compared with each other.
     progress.note(options.scene.string() + (options.cameras == "none" ? ": cameras are to be found (--cameras none)" : ": no camera file: cameras are to be found"));
+    if (const auto turned = std::count_if(out.views.begin(), out.views.end(), [](const View& v) { return v.orientation != 1; }); turned > 0)
+        progress.note(counted(static_cast<size_t>(turned), "photograph") + " turned as EXIF says");
     if (known < names.size())
         for (View& v : out.views) v.camera.intrinsics.fx = v.camera.intrinsics.fy = 0;
-    else progress.note("focal length from the photographs: " + std::to_string(std::lround(out.views.front().camera.intrinsics.fx)) + " px");
+    else say_focal_lengths(out, progress);
+    say_sizes(out, progress);
     return out;
 }
 
@@ -229,7 +266,7 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
 Views load_views(const ViewsOptions& options, Progress& progress) {
     if (!fs::is_directory(options.scene)) {
         if (fs::is_regular_file(options.scene))
-            throw InputError(options.scene.string() + ": is a file; a scene is a folder with photographs (video is not read yet)");
+            throw InputError(options.scene.string() + ": is a file; a scene is a folder with photographs, or (reconstruct, align, mask, carve) a film such as .mp4");
         throw InputError(options.scene.string() + ": no such folder");
     }
     const std::optional<Candidate> candidate = find_camera_file(options, progress);
@@ -280,7 +317,7 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
         Intrinsics& k = view.camera.intrinsics;
         const std::string where = found.path.string() + ": view " + view.name;
         view.image_path = finder.find(view.name);
-        const bool sizes_known = k.width_px > 0 && k.height_px > 0 && v.angle_x_rad == 0;
+        const bool sizes_known = k.width_px > 0 && k.height_px > 0 && v.angle_x_rad == 0 && v.focal_36mm == 0;
         if (view.image_path.empty() && !(options.cameras_only && sizes_known)) {
             if (options.allow_missing) {
                 out.left_out.push_back(view.name);
@@ -291,12 +328,23 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
                              " or its images/. Remedy: --images DIR, or --allow-missing to leave such views out");
         }
         if (!view.mask_path.empty() && view.mask_path.is_relative()) view.mask_path = camera_folder / view.mask_path;
-        if (k.width_px == 0 || k.height_px == 0 || v.angle_x_rad > 0) {
-            const auto [width, height] = image_size(view.image_path);
+        if (k.width_px == 0 || k.height_px == 0 || v.angle_x_rad > 0 || v.focal_36mm > 0) {
+            const auto [width, height] = io::stored_size(view.image_path);
             if (k.width_px == 0) k.width_px = width;
             if (k.height_px == 0) k.height_px = height;
         }
+        // A camera file that gives the size of the turned photograph was made by a program that turned it. (Ours says so.)
+        if (view.orientation == 1 && !view.image_path.empty() && k.width_px != k.height_px) {
+            const int said = io::exif_orientation(view.image_path);
+            if (said >= 5 && io::stored_size(view.image_path) == std::pair{k.height_px, k.width_px}) view.orientation = said;
+        }
         if (v.angle_x_rad > 0) k.fx = k.fy = 0.5 * k.width_px / std::tan(0.5 * v.angle_x_rad);
+        if (v.focal_36mm > 0) {
+            const double per_mm = std::max(k.width_px, k.height_px) / 36.0;
+            k.fx = k.fy = v.focal_36mm * per_mm;
+            k.cx = 0.5 * k.width_px + v.centre_36mm.x() * per_mm;
+            k.cy = 0.5 * k.height_px + v.centre_36mm.y() * per_mm;
+        }
         if (k.cx == -1e9) k.cx = 0.5 * k.width_px;
         else if (integer_centres) k.cx += 0.5;
         if (k.cy == -1e9) k.cy = 0.5 * k.height_px;
@@ -363,14 +411,28 @@ void check_views(const Views& views) {
     }
 }
 
-Photo load_photo(const View& view) {
-    Photo photo = io::read_photo(view.image_path);
+namespace {
+
+/// The photograph as its camera would have taken it without distortion, of whatever kind `read` returns.
+template <class Read>
+auto straightened(const View& view, const Read& read) {
+    auto photo = read(view.image_path, view.orientation);
     const Intrinsics& k = view.camera.intrinsics;
-    const PhotoView size = view_of(photo);
-    if (size.width() != k.width_px || size.height() != k.height_px)
-        throw InputError(view.image_path.string() + ": has " + std::to_string(size.width()) + " x " + std::to_string(size.height()) + " pixels, the camera of view " + view.name + " " + std::to_string(k.width_px) + " x " +
-                         std::to_string(k.height_px));
-    return view.lens.distorts() ? io::undistort(photo, view.camera.intrinsics, view.lens) : photo;
+    const auto [width, height] = [&] {
+        if constexpr (std::is_same_v<decltype(photo), Photo>) return std::pair{view_of(photo).width(), view_of(photo).height()};
+        else return std::pair{photo.width, photo.height};
+    }();
+    if (width != k.width_px || height != k.height_px)
+        throw InputError(other_size(view.image_path.string(), width, height, view.name, k.width_px, k.height_px));
+    if (!view.lens.distorts()) return photo;
+    if constexpr (std::is_same_v<decltype(photo), Photo>) return io::undistort(photo, k, view.lens);
+    else return io::undistort(photo, k, view.lens, nullptr);
 }
+
+}  // namespace
+
+Photo load_photo(const View& view) { return straightened(view, io::read_photo); }
+
+Image8 load_photo8(const View& view) { return straightened(view, io::read_photo8); }
 
 }  // namespace vdbcarve

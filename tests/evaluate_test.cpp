@@ -164,7 +164,7 @@ TEST(Check, SwappedMasksAndForeignAxesAreContradictions) {
     write_scene(scene, folder / "swapped");
     const CheckResult swapped = check_of(folder / "swapped");
     EXPECT_EQ(swapped.exit_code, ExitCode::Contradiction) << check_text(swapped);
-    ASSERT_FALSE(swapped.errors.empty());
+    ASSERT_FALSE(swapped.of(Finding::Severity::Error).empty());
     scene = synthesize(spec, quiet);
     for (View& v : scene.views.views) v.camera.camera_from_world.rotation = Vec3d(1, -1, -1).asDiagonal() * v.camera.camera_from_world.rotation;
     for (View& v : scene.views.views) v.camera.camera_from_world.translation = Vec3d(1, -1, -1).asDiagonal() * v.camera.camera_from_world.translation;

@@ -2,6 +2,7 @@
 #include "vdbcarve/views.h"
 
 #include <cmath>
+#include <cstring>
 #include <nlohmann/json.hpp>
 #include <valijson/adapters/nlohmann_json_adapter.hpp>
 #include <valijson/schema.hpp>
@@ -13,6 +14,8 @@
 #include "sha256.h"
 #include "support/camera_files.h"
 #include "support/scenes.h"
+#include "vdbcarve/export_cameras.h"
+#include "vdbcarve/pipeline.h"
 
 namespace vdbcarve::test {
 namespace {
@@ -262,6 +265,122 @@ TEST(Importers, BundlerAndVisualSfm) {
     text.replace(text.find(" 0 0\n"), 5, " -0.1 0\n");
     write_text(w.folder / "model.nvm", text);
     EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path()); }).find("bundle.rd.out"), std::string::npos);
+}
+
+TEST(Importers, OpenMvgAndMeshroom) {
+    Written w(1.0);
+    write_text(w.folder / "sfm_data.json", openmvg_text(w.scene.views));
+    const Views openmvg = load(w.folder.path());
+    EXPECT_EQ(openmvg.format, "OpenMVG or Meshroom");
+    expect_same_cameras(openmvg, w.scene.views, 1e-12);
+    fs::remove(w.folder / "sfm_data.json");
+    for (const bool millimetres : {false, true}) {
+        write_text(w.folder / "cameras.sfm", meshroom_text(w.scene.views, millimetres));
+        expect_same_cameras(load(w.folder.path()), w.scene.views, 1e-12);
+    }
+    // The lens by name; one whose formula is not known is refused.
+    std::string text = meshroom_text(w.scene.views, false);
+    const std::string none = R"("distortionParams":["0","0","0"])";
+    text.replace(text.find(none), none.size(), R"("distortionParams":["0.1","-0.2","0.3"])");
+    write_text(w.folder / "cameras.sfm", text);
+    EXPECT_EQ(load(w.folder.path()).views[0].lens.coefficients, (std::vector<double>{0.1, -0.2, 0, 0, 0.3, 0, 0, 0}));
+    text.replace(text.find("radial3"), 7, "3deanam");
+    write_text(w.folder / "cameras.sfm", text);
+    EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path()); }).find("lens '3deanam' is not supported"), std::string::npos);
+}
+
+TEST(Importers, RealityCapture) {
+    Written w(1.0);
+    write_text(w.folder / "cameras.csv", realitycapture_text(w.scene.views));
+    const Views read = load(w.folder.path());
+    EXPECT_EQ(read.format, "RealityCapture");
+    expect_same_cameras(read, w.scene.views, 1e-9);
+    std::string text = realitycapture_text(w.scene.views);
+    text.replace(text.rfind(",0,0,0,0,0,0"), 12, ",0.1,0,0,0,0,0");
+    write_text(w.folder / "cameras.csv", text);
+    EXPECT_NE(error_of(ExitCode::Input, [&] { load(w.folder.path()); }).find("export undistorted images"), std::string::npos);
+}
+
+TEST(Importers, Matlab) {
+    Written w;
+    write_text(w.folder / "P.mat", matlab_bytes(w.scene.views));
+    const Views read = load(w.folder.path());
+    EXPECT_EQ(read.format, "MATLAB");
+    expect_same_cameras(read, w.scene.views, 1e-9);
+}
+
+TEST(Exporters, ColmapAndTransformsComeBackTheSame) {
+    Written w;
+    Views views = w.scene.views;
+    views.views[1].lens = {Lens::Model::OpenCV, {0.1, -0.02, 0.001, 0.002}};
+    views.views[2].lens = {Lens::Model::OpenCVFisheye, {0.01, 0.02, 0.03, 0.04}};
+    views.views[3].lens = {Lens::Model::Radial, {0.05, 0.06}};
+    for (View& v : views.views) v.image_path = w.folder / ("images/" + v.name);
+    Progress quiet;
+    export_cameras(views, w.folder / "colmap", {}, quiet);
+    const auto from = [&](const char* file) { return load(w.folder.path(), [&](ViewsOptions& o) { o.cameras = w.folder / file; }); };
+    const Views colmap = from("colmap/sparse/0");
+    EXPECT_EQ(colmap.format, "COLMAP");
+    expect_same_cameras(colmap, views, 1e-12);
+    EXPECT_EQ(colmap.views[2].lens.model, Lens::Model::OpenCVFisheye);
+    EXPECT_EQ(colmap.views[3].lens.coefficients, (std::vector<double>{0.05, 0.06, 0, 0}));
+    // transforms.json has z up, and says how it was turned.
+    for (const char* up : {"z", "y", "-x", ""}) {
+        views.up = up;
+        export_cameras(views, w.folder / "nerf/transforms.json", {}, quiet);
+        const Views nerf = from("nerf/transforms.json");
+        expect_same_cameras(nerf, views, 1e-12);
+        EXPECT_EQ(nerf.views[1].lens.coefficients, views.views[1].lens.coefficients);
+        auto j = nlohmann::json::parse(read_text(w.folder / "nerf/transforms.json"));
+        EXPECT_EQ(j.contains("vdbcarve"), false);
+        if (*up == '\0' || *up == 'z') continue;
+        j.erase("applied_transform");
+        write_text(w.folder / "nerf/turned.json", j.dump());
+        // Upright images show the axis upwards; without the note, that is z.
+        Vec3d axis = Vec3d::Zero();
+        axis[up[std::strlen(up) - 1] - 'x'] = up[0] == '-' ? -1 : 1;
+        const Views turned = from("nerf/turned.json");
+        for (size_t i = 0; i < 4; ++i)
+            EXPECT_LT((turned.views[i].camera.camera_from_world.rotation * Vec3d::UnitZ() - views.views[i].camera.camera_from_world.rotation * axis).norm(), 1e-9);
+    }
+    views.views[0].camera.intrinsics.skew = 1;
+    EXPECT_NE(error_of(ExitCode::Input, [&] { export_cameras(views, w.folder / "skewed", {}, quiet); }).find("skewed"), std::string::npos);
+}
+
+TEST(Exporters, UndistortedSetsFitTheirCameras) {
+    TemporaryFolder folder;
+    SyntheticSpec spec = small_spec("ellipsoids", 4, 160, 120);
+    spec.rig.lens = {Lens::Model::OpenCV, {-0.2, 0.05, 0.001, -0.002}};
+    Progress quiet;
+    SyntheticScene scene = synthesize(spec, quiet);
+    write_scene(scene, folder / "scene");
+    spec.rig.lens = {};
+    const SyntheticScene straight = synthesize(spec, quiet);
+    const Views views = load(folder / "scene");
+    fs::create_directories(folder / "masks");
+    const Masks masks = make_masks(views, folder / "scene", {}, std::vector<fs::path>(4), quiet);
+    for (size_t i = 0; i < 4; ++i) {
+        const auto png = io::encode_png(masks.masks[i].coverage);
+        write_text(folder / ("masks/" + mask_names(views)[i]), {png.begin(), png.end()});
+    }
+    CameraExportOptions o;
+    o.undistort = true;
+    o.masks = folder / "masks";
+    export_cameras(views, folder / "set", o, quiet);
+    const Views set = load(folder / "set");
+    EXPECT_EQ(set.format, "COLMAP");
+    expect_same_cameras(set, straight.views, 1e-9);
+    const Masks found = make_masks(set, folder / "set", {}, std::vector<fs::path>(4), quiet);
+    for (size_t i = 0; i < 4; ++i) {
+        EXPECT_FALSE(set.views[i].lens.distorts());
+        EXPECT_EQ(found.masks[i].coverage.data, masks.masks[i].coverage.data);
+        const Image8 photo = load_photo8(set.views[i]);
+        double off = 0;
+        size_t n = 0;
+        for (int y = 20; y < 100; ++y)
+            for (int x = 30; x < 130; ++x, ++n) off += std::abs(static_cast<double>(photo.at(x, y, 0)) - straight.photos[i].at(x, y, 0));
+        EXPECT_LT(off / static_cast<double>(n), 3);
+    }
 }
 
 TEST(Importers, AMirroredWorldIsReportedAndMirroredBack) {

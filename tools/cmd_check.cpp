@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <spdlog/spdlog.h>
+
 #include <iostream>
 #include <memory>
 
@@ -10,23 +12,34 @@ namespace vdbcarve::cli {
 Command add_check(CLI::App& program) {
     struct Raw {
         CheckOptions options;
-        std::string only;
+        std::string only, write_cameras;
     };
     auto raw = std::make_shared<Raw>();
     CheckOptions& o = raw->options;
-    CLI::App* app = program.add_subcommand("check", "what is wrong with a scene, in words: cameras, masks, and whether they fit together");
+    CLI::App* app = program.add_subcommand("check", "what is wrong with a scene, in words: images, cameras, masks, and whether they fit together");
     app->fallthrough();
     app->add_option("scene", o.views.scene, "scene folder")->required();
-    app->add_option("--only", raw->only, "cameras or masks")->check(CLI::IsMember({"cameras", "masks"}));
+    app->add_option("--only", raw->only, "cameras, masks or images")->check(CLI::IsMember({"cameras", "masks", "images"}));
+    app->add_option("--write-cameras", raw->write_cameras, "where the poses fit when read in another way: write them so, as a cameras.json");
     app->add_option("--resolution", o.resolution, "of the hull that masks are compared with")->capture_default_str()->check(CLI::Range(32, 1024));
     add_scene_options(*app, o.views, o.mask);
+    app->footer("Examples:\n"
+                "  vdbcarve check shoot                                                     everything: images, cameras, masks, and whether they fit together\n"
+                "  vdbcarve check shoot --only cameras                                      quickly: no picture is read\n"
+                "  vdbcarve check shoot --cameras colmap --write-cameras fixed.json         other readings of poses that do not fit are tried\n"
+                "Exit code: 0 nothing wrong, or warnings; 3 files that cannot be used; 4 cameras and masks contradict each other; 5 cameras that must not be trusted.");
     return {app, [raw](Common& common, Progress& progress) {
                 CheckOptions& options = raw->options;
                 options.views.allow_missing = options.mask.allow_missing;
-                options.cameras = raw->only != "masks";
-                options.masks = raw->only != "cameras";
+                options.cameras = raw->only.empty() || raw->only == "cameras";
+                options.masks = raw->only.empty() || raw->only == "masks";
+                options.images = raw->only.empty() || raw->only == "images";
                 const CheckResult result = check(options, progress);
                 std::cout << (common.json == "-" ? check_json(result) + "\n" : check_text(result));
+                if (!raw->write_cameras.empty()) {
+                    if (!result.better) spdlog::warn("{} is not written: no other reading of the poses fits better", raw->write_cameras);
+                    else write_cameras(*result.better, raw->write_cameras);
+                }
                 return static_cast<int>(result.exit_code);
             }};
 }

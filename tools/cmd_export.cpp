@@ -10,6 +10,8 @@
 
 #include "cli.h"
 #include "vdbcarve/export.h"
+#include "vdbcarve/export_cameras.h"
+#include "vdbcarve/pipeline.h"
 #include "vdbcarve/triangle_mesh.h"
 
 namespace vdbcarve::cli {
@@ -37,23 +39,55 @@ fs::path source_for(const fs::path& in, const fs::path& out) {
     throw InputError(in.string() + ": holds no " + (is_volume(out) ? "volume" : "mesh") + " of vdbcarve's. Remedy: `vdbcarve reconstruct` makes one");
 }
 
+struct Raw {
+    std::string in;
+    std::vector<std::string> out;
+    FrameRequest frame;  ///< of the input, and what is wanted
+    ViewsOptions views;  ///< where cameras come from
+    bool undistort = false;
+    bool half = false;
+};
+
+/// Targets that are cameras: transforms.json, or a folder for COLMAP.
+bool is_for_cameras(const fs::path& file) { return extension_of(file) == ".json" || extension_of(file).empty(); }
+
+/// Cameras of a result, a scene or a camera file, with what else of the result belongs to them.
+void convert_cameras(const Raw& raw, const fs::path& to, Progress& progress) {
+    const fs::path in = raw.in;
+    CameraExportOptions options;
+    options.undistort = raw.undistort;
+    Views views;
+    if (fs::exists(in / "cameras.json") && fs::exists(in / "report.json")) {
+        views = result_views(in, raw.views.images, progress);
+        if (fs::is_directory(in / "masks")) options.masks = in / "masks";
+        if (fs::exists(in / "mesh.ply") && extension_of(to).empty()) options.points = in_frame(read_mesh(in / "mesh.ply"), inverse(frame_from_scene(in, "mesh.ply")));
+    } else {
+        ViewsOptions from = raw.views;
+        from.scene = fs::is_directory(in) ? in : in.parent_path().empty() ? fs::path(".") : in.parent_path();
+        if (!fs::is_directory(in)) from.cameras = fs::absolute(in);
+        from.cameras_only = true;
+        from.up = raw.frame.up;
+        views = load_views(from, progress);
+    }
+    if (!raw.frame.up.empty()) views.up = raw.frame.up;
+    export_cameras(views, to, options, progress);
+}
+
 /// Everything that can be known to fail before anything is written.
 void check_target(const fs::path& from, const fs::path& to) {
     const std::string extension = extension_of(to);
+    if (is_for_cameras(to)) {
+        if (!fs::exists(from)) throw InputError(from.string() + ": no such file or folder");
+        if (extension.empty() && fs::is_directory(to) && !fs::is_empty(to) && !fs::is_directory(to / "sparse")) throw OutputError(to.string() + ": is not empty. Remedy: another -o");
+        return;
+    }
     if (extension != ".vdb" && extension != ".nvdb" && extension != ".ply" && extension != ".obj" && extension != ".stl" && extension != ".glb")
-        throw UsageError(to.string() + ": the extension says what to write; .vdb, .nvdb, .ply, .obj, .stl and .glb are known");
+        throw UsageError(to.string() + ": the extension says what to write; .vdb, .nvdb, .ply, .obj, .stl, .glb and .json (cameras) are known, and a folder, which has none (COLMAP)");
     if (is_volume(from) != is_volume(to)) throw UsageError(to.string() + " cannot be made of " + from.string() + ": volumes become .vdb or .nvdb, meshes .ply, .obj, .stl or .glb");
     if (extension != to.extension().string()) throw UsageError(to.string() + ": write the extension in small letters");
     std::error_code ignored;
     if (fs::equivalent(from, to, ignored)) throw UsageError(to.string() + ": is the input itself");
 }
-
-struct Raw {
-    std::string in;
-    std::vector<std::string> out;
-    FrameRequest frame;  ///< of the input, and what is wanted
-    bool half = false;
-};
 
 /// The frame of an input: what was said, what a result's report says of its file, or what the format always is.
 FrameRequest frame_of(const Raw& raw, const fs::path& source) {
@@ -127,24 +161,34 @@ void convert(const Raw& raw, const fs::path& from, const fs::path& to) {
 
 Command add_export(CLI::App& program) {
     auto raw = std::make_shared<Raw>();
-    CLI::App* app = program.add_subcommand("export", "convert a result or a file: .vdb .nvdb; .ply .obj .stl .glb");
+    CLI::App* app = program.add_subcommand("export", "convert a result or a file: .vdb .nvdb; .ply .obj .stl .glb; cameras for COLMAP and nerfstudio");
     app->fallthrough();
     app->add_option("in", raw->in, "a result's folder, a volume or a mesh")->required();
-    app->add_option("-o,--output", raw->out, "files to write, by extension")->required();
+    app->add_option("-o,--output", raw->out, "files to write, by extension; transforms.json: cameras for nerfstudio; a folder: cameras for COLMAP, in its sparse/0")->required();
+    app->add_flag("--undistort", raw->undistort, "with cameras: write photographs without their lens's distortion too (and masks), into images/ and masks/ beside them");
+    app->add_option("--images", raw->views.images, "with cameras: folder of photographs (default: where the result's report says)");
     app->add_option("--up", raw->frame.up, "the input's up axis (default: what a result's report or a volume's metadata say; y of .obj and .glb)")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
     app->add_option("--units", raw->frame.units, "the input's unit of length: m, cm, mm, inch … (default: likewise)");
     add_dcc_option(*app, raw->frame.dcc);
     app->add_flag("--stl-mm", raw->frame.stl_mm, ".stl in millimetres, for printers");
     app->add_flag("--vdb-half", raw->half, "16-bit floats in .vdb: two thirds of the size, three digits");
+    app->footer("Examples:\n"
+                "  vdbcarve export out -o model.glb model.obj                               the mesh in other formats\n"
+                "  vdbcarve export out -o volume.nvdb --dcc houdini                         the volume\n"
+                "  vdbcarve export out --undistort -o colmap                                photographs, masks and cameras for COLMAP, OpenMVS, splatting\n"
+                "  vdbcarve export out --undistort -o nerf/transforms.json                  the same for nerfstudio");
     return {app, [raw](Common&, Progress& progress) {
+                if (raw->undistort && std::none_of(raw->out.begin(), raw->out.end(), [](const std::string& out) { return is_for_cameras(out); }))
+                    throw UsageError("--undistort is of cameras: -o FOLDER or -o transforms.json");
                 std::vector<fs::path> sources;
                 for (const std::string& out : raw->out) {
-                    sources.push_back(source_for(raw->in, out));
+                    sources.push_back(is_for_cameras(out) ? fs::path(raw->in) : source_for(raw->in, out));
                     check_target(sources.back(), out);
                 }
                 for (size_t n = 0; n < raw->out.size(); ++n) {
                     progress.check();
-                    convert(*raw, sources[n], raw->out[n]);
+                    if (is_for_cameras(raw->out[n])) convert_cameras(*raw, raw->out[n], progress);
+                    else convert(*raw, sources[n], raw->out[n]);
                     spdlog::info("{} -> {}", sources[n].string(), raw->out[n]);
                 }
                 return 0;

@@ -17,7 +17,7 @@ namespace {
 struct Raw {
     ReconstructOptions options;
     std::string bounds, grid, origin;
-    std::string angles, rings, sittings, principal_point, mat, paper_views, known_length;
+    std::string video_range, angles, rings, sittings, principal_point, mat, paper_views, known_length;
     double pass_band = 0;
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
 };
@@ -110,6 +110,12 @@ void read_raw(Raw& raw) {
         o.origin = Vec3d(p[0], p[1], p[2]);
     }
     if (raw.pass_band > 0) o.smooth.mu = mu_for(o.smooth.lambda, raw.pass_band);
+    if (!raw.video_range.empty()) {
+        const auto r = numbers("--video-range", raw.video_range, 2);
+        if (!(r[0] >= 0 && r[1] > r[0])) throw UsageError("--video-range " + raw.video_range + ": FROM,TO in seconds is expected, the second more than the first");
+        o.video.from_s = r[0];
+        o.video.to_s = r[1];
+    }
     o.views.allow_missing = o.mask.allow_missing;
     read_alignment(raw);
 }
@@ -138,7 +144,7 @@ void add_dcc_option(CLI::App& command, Dcc& dcc) {
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask) {
     CLI::App* app = &command;
     app->add_option("--images", views.images, "folder of photographs")->group("Scene");
-    app->add_option("--cameras", views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices; experimental: OpenCV's .yml, .xml, .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm")->group("Scene");
+    app->add_option("--cameras", views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices; experimental: OpenCV's .yml, .xml, .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm, OpenMVG's .json, Meshroom's .sfm, RealityCapture's .csv, MATLAB's .mat")->group("Scene");
     app->add_option("--masks", mask.masks, "folder of masks (white = object)")->group("Scene");
     add_choice<MaskMethod>(*app, "--mask", mask.method, {{"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}, {"chroma", MaskMethod::Chroma}, {"clean-plate", MaskMethod::CleanPlate}, {"grabcut", MaskMethod::GrabCut}},
                            "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold, chroma (a coloured cloth behind), clean-plate (photographs without the object), grabcut (colours, from a box)")
@@ -244,10 +250,12 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     o.last_stage = last;
     CLI::App* app = program.add_subcommand(name, what);
     app->fallthrough();
-    app->add_option("scene", o.views.scene, "folder with images/ (or photos directly in it), masks/ and a camera file")->required();
+    app->add_option("scene", o.views.scene, "folder with images/ (or photos directly in it), masks/ and a camera file; or a film (.mp4, .mov, …)")->required();
     app->add_option("-o,--output", o.output, "folder for the result")->required();
 
     add_scene_options(*app, o.views, o.mask);
+    app->add_option("--video-frames", o.video.frames, "frames to take of a film, evenly in motion, the sharpest near each place")->capture_default_str()->check(CLI::Range(4, 10000))->group("Scene");
+    app->add_option("--video-range", raw->video_range, "FROM,TO: seconds of the film that are looked at (default: all)")->group("Scene");
     if (last != LastStage::Mask) add_alignment(*app, *raw);
     app->footer(example);
     if (last == LastStage::Align) o.align_again = true;
@@ -315,6 +323,13 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_flag("--vdb-half", o.vdb_half, "16-bit floats in volume.vdb: two thirds of the size, three digits")->group("Result");
         app->add_flag("--stl-mm", o.stl_mm, "mesh.stl in millimetres, for printers (needs --units, or a scene that says them)")->group("Result");
         app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,glb,stl")->delimiter(',')->capture_default_str()->group("Result");
+    }
+    if (last != LastStage::Mask) {
+        app->add_option_function<std::string>("--floor", [raw](const std::string& text) {
+            raw->options.floor_from = text == "auto" ? ReconstructOptions::FloorFrom::Found : ReconstructOptions::FloorFrom::Given;
+            if (text != "auto") raw->options.floor = numbers("--floor", text, 1)[0];
+        }, "height of the table, along up: nothing of the object is lower (reflections are cut off); auto: found in the photographs by the table's pattern, else the lowest contour (default: the camera file's, of a mat)")->type_name("auto|HEIGHT")->group("Result");
+        if (last == LastStage::Export) app->add_option("--floor-clear", o.floor_clear, "what a flat patch on the floor makes in the hull is no part of the object (contact shadows); so much higher is allowed for, scene units (default: 1 % of the height with --floor; 0: nothing is cleared)")->check(CLI::NonNegativeNumber)->group("Result");
     }
     app->add_option("--up", o.views.up, "world up axis: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group("Result");
     app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, km, inch, ft")->group("Result");

@@ -21,7 +21,7 @@ struct Raw {
     std::optional<double> elevation, start, arc, speed, breathing, crop_drift, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius, mask_share;
     std::optional<int> sittings, jpeg, holes, blobs;
     bool table = false, exif = false, flat = false, plates = false;
-    std::optional<double> exposure_jitter, light_drift, spill;
+    std::optional<double> exposure_jitter, light_drift, spill, film;
     std::string texture, backdrop;
 };
 
@@ -79,6 +79,7 @@ SyntheticSpec spec_of(const Raw& raw) {
     set(look.exposure_jitter, raw.exposure_jitter);
     set(look.light_drift, raw.light_drift);
     set(look.spill, raw.spill);
+    set(look.film_rate_hz, raw.film);
     if (!raw.backdrop.empty()) {
         const auto c = numbers("--backdrop", raw.backdrop, 3);
         look.backdrop = Vec3d(c[0], c[1], c[2]);
@@ -128,6 +129,7 @@ Command add_synth(CLI::App& program) {
     app->add_option("--lens", raw->lens, "k1,k2,p1,p2: distortion of photos and masks (OpenCV's model)")->group("Camera");
     app->add_option("--breathing", raw->breathing, "the focal length wanders by up to this share")->check(CLI::Range(0.0, 0.5))->group("Camera");
     app->add_option("--crop-drift", raw->crop_drift, "the principal point wanders by up to so many pixels (a stabiliser's crop)")->check(CLI::Range(0.0, 1000.0))->group("Camera");
+    app->add_option("--film", raw->film, "the photographs also as film.mp4, with so many frames a second (--views says how many)")->check(CLI::Range(1.0, 240.0))->group("Camera");
     app->add_option("--blur", raw->blur, "defocus, standard deviation in px")->check(CLI::Range(0.0, 50.0))->group("Camera");
     app->add_option("--noise", raw->noise, "sensor noise, standard deviation in 8-bit steps")->check(CLI::Range(0.0, 100.0))->group("Camera");
     app->add_option("--jpeg", raw->jpeg, "photos as .jpg of this quality")->check(CLI::Range(1, 100))->group("Camera");

@@ -43,6 +43,14 @@ struct Extrapolation {
 /// Sets Mesh::extrapolated. Occlusion is not looked at: report.json's synthesised share is about that. Cost: vertices x views.
 Extrapolation mark_extrapolated(Mesh& mesh, const std::vector<Camera>& cameras, const SeenExtent& seen, const Vec3d& axis, double tolerance);
 
+/// Takes away what a flat patch on the floor at `height` along `up` (an axis of the world) makes of itself in a hull: a contact shadow that masks took for the object. Cones over a patch meet above it, so it becomes a
+/// mound that rises from nothing at its border by at most `slope` (the tangent of the views' elevation over the floor); an object's foot rises like a wall. From the borders inwards, columns of voxels that stand on the
+/// floor and are no higher than slope times their distance from the border, and `clear` (world units), go; where a column is higher, it and what is behind it stays. Re-distanced. Throws InputError when nothing is left.
+openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d& up, double height, double clear, double slope, Progress& progress);
+
+/// The tangent of the elevation, seen from the surface's middle dropped onto the plane at `height` along up, that a third of the cameras stay below.
+double slope_of_views(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras, const Vec3d& up, double height);
+
 /// Cuts the level set by the plane at `height` along `up` and keeps what is above; re-distanced. Throws InputError when nothing is.
 openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& up, double height, Progress& progress);
 

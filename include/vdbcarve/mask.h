@@ -118,4 +118,7 @@ Masks make_masks(const Views& views, const std::filesystem::path& scene, const M
 std::vector<std::filesystem::path> mask_files(const View& view, const std::filesystem::path& scene,
                                               const MaskOptions& options);
 
+/// How soft a mask's contour is: the share of its pixels that are neither object nor background; about 1 for soft masks, 0 for black and white.
+double contour_softness(ImageView<uint8_t> coverage);
+
 }  // namespace vdbcarve

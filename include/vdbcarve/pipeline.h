@@ -21,6 +21,7 @@
 #include "vdbcarve/progress.h"
 #include "vdbcarve/smooth.h"
 #include "vdbcarve/triangle_mesh.h"
+#include "vdbcarve/video.h"
 #include "vdbcarve/views.h"
 
 namespace vdbcarve {
@@ -29,7 +30,8 @@ namespace vdbcarve {
 enum class LastStage { Mask, Align, Carve, Export };
 
 struct ReconstructOptions {
-    ViewsOptions views;
+    ViewsOptions views;                              ///< views.scene may be a film: its frames become the photographs
+    VideoOptions video;
     MaskOptions mask;
     AlignOptions align;                              ///< where cameras are to be found or improved
     bool align_again = false;                        ///< also where there is a camera file
@@ -63,6 +65,11 @@ struct ReconstructOptions {
     size_t faces = 0;                                ///< decimate to so many; 0: no
     double max_error = 0;                            ///< decimate as far as this allows, scene units; 0: no
 
+    /// The table that the object stands on: below it there is nothing (reflections), and what lies flatter on it than floor_clear is not the object (contact shadows). Needs an up axis.
+    enum class FloorFrom { File, Given, Found };
+    FloorFrom floor_from = FloorFrom::File;          ///< the camera file's, where it has one (a mat); `floor`; or found in the photographs, else from the lowest contour
+    double floor = 0;                                ///< its height along up, scene units
+    double floor_clear = -1;                         ///< scene units; < 0: 1 % of the object's height, none for the camera file's floor
     bool flat_base = false;                          ///< cut the foot by a plane where the lowest contour was seen; needs an up axis
     double cap_tolerance = 0;                        ///< surface farther beyond the highest and lowest contours is called extrapolated, scene units; 0: two voxels
 
@@ -103,6 +110,10 @@ Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress
 
 /// File names of the views' masks in output/masks, by view.
 std::vector<std::string> mask_names(const Views& views);
+
+/// The cameras of a result with their photographs, from where its report says that they are, or from the folder `images`; a view whose photograph is not there any more has none.
+/// Throws InputError.
+Views result_views(const std::filesystem::path& output, const std::filesystem::path& images, Progress& progress);
 
 /// How a file of a result lies to the scene, as its report says; the scene's own frame where it says nothing.
 FileFrame frame_from_scene(const std::filesystem::path& output, const std::string& file);

@@ -68,6 +68,7 @@ struct PreviewView {
     Image8 mask;
     std::array<int, 4> missed_blob{};           ///< of SilhouetteAgreement, in the mask's pixels: framed in orange
     std::vector<std::array<int, 2>> thin_lost;  ///< drawn in yellow
+    std::vector<Vec3d> cut_world;               ///< points of the line along which a floor cuts the object, drawn in cyan
 };
 Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views);
 

@@ -77,6 +77,7 @@ struct PhotoLook {
     double blur_px = 0;        ///< defocus, standard deviation of a Gaussian
     double noise = 0;          ///< of the sensor, standard deviation in 8-bit steps
     int jpeg_quality = 0;      ///< 1..100: .jpg files; 0: .png
+    double film_rate_hz = 0;   ///< the photographs also as a film of so many frames a second, film.mp4; 0: no
     bool exif = false;         ///< .jpg files say the focal length
     double exposure_jitter = 0;  ///< every photograph's exposure is off by a factor within 1 plus and minus this
     double light_drift = 0;    ///< lamps wander from photograph to photograph: every channel's light by up to this share, and half of that from one side of the frame to the other

@@ -18,6 +18,7 @@ struct View {
     std::string name;                   ///< as the camera file spells it, folders included
     std::filesystem::path image_path;   ///< the photograph; empty where there is none
     std::filesystem::path mask_path;    ///< named by the camera file; empty where it names none
+    int orientation = 1;                ///< EXIF's, by which the stored photograph is turned to be the camera's; 1: not at all
     Camera camera;                      ///< pinhole (or orthographic), after the lens was removed
     Lens lens;                          ///< what has to be removed from image and mask
     std::string sitting = "0";          ///< which sitting of the object this view belongs to
@@ -80,14 +81,17 @@ void check_views(const Views& views);
 /// Reading it again gives the same cameras to 1e-12.
 std::string cameras_json(const Views& views, const std::filesystem::path& relative_to = {});
 
+/// Writes that, by rename; images are named relative to the file's folder. Throws OutputError.
+void write_cameras(const Views& views, const std::filesystem::path& file);
+
 /// The view's photograph as its camera would have taken it without distortion. Throws InputError naming the file, also
 /// where it has not the camera's size.
 Photo load_photo(const View& view);
 
+/// The same in 8 bits a channel.
+Image8 load_photo8(const View& view);
+
 /// "image_2" before "image_10".
 bool natural_less(const std::string& a, const std::string& b);
-
-/// Width and height of an image file, from its header where that is simple. Throws InputError.
-std::pair<int, int> image_size(const std::filesystem::path& file);
 
 }  // namespace vdbcarve

@@ -4,6 +4,7 @@
 #include <fstream>
 #include <iomanip>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <sstream>
 
 namespace vdbcarve::test {
@@ -121,6 +122,104 @@ std::string nvm_text(const Views& views) {
         out << "images/" << v.name << "\t" << v.camera.intrinsics.fx << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << c[0] << " " << c[1] << " " << c[2] << " 0 0\n";
     }
     return out.str() + "\n0\n";
+}
+
+std::string openmvg_text(const Views& views) {
+    std::ostringstream v, k, x;
+    for (std::ostringstream* o : {&v, &k, &x}) *o << std::setprecision(17);
+    const size_t n = views.views.size();
+    for (size_t i = 0; i <= n; ++i) {
+        const std::string name = i < n ? views.views[i].name : "lost.png";
+        v << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"polymorphic_id\":1073741824,\"ptr_wrapper\":{\"id\":" << 2147483649 + i << ",\"data\":{\"local_path\":\"/\",\"filename\":\"" << name << "\",\"width\":40,\"height\":30,\"id_view\":" << i
+          << ",\"id_intrinsic\":" << i << ",\"id_pose\":" << i << "}}}}";
+        if (i == n) break;
+        const Camera& c = views.views[i].camera;
+        k << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"polymorphic_name\":\"pinhole\",\"ptr_wrapper\":{\"data\":{\"width\":" << c.intrinsics.width_px << ",\"height\":" << c.intrinsics.height_px << ",\"focal_length\":" << c.intrinsics.fx
+          << ",\"principal_point\":[" << c.intrinsics.cx - 0.5 << "," << c.intrinsics.cy - 0.5 << "]}}}}";
+        const Mat3d& r = c.camera_from_world.rotation;
+        const Vec3d centre = c.centre_world();
+        x << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"rotation\":[";
+        for (int a = 0; a < 3; ++a) x << (a ? "," : "") << "[" << r(a, 0) << "," << r(a, 1) << "," << r(a, 2) << "]";
+        x << "],\"center\":[" << centre[0] << "," << centre[1] << "," << centre[2] << "]}}";
+    }
+    return "{\"sfm_data_version\":\"0.3\",\"root_path\":\"/elsewhere\",\"views\":[" + v.str() + "],\"intrinsics\":[" + k.str() + "],\"extrinsics\":[" + x.str() + "],\"structure\":[],\"control_points\":[]}";
+}
+
+std::string meshroom_text(const Views& views, bool millimetres) {
+    std::ostringstream v, k, x;
+    for (std::ostringstream* o : {&v, &k, &x}) *o << std::setprecision(17);
+    const size_t n = views.views.size();
+    const auto quoted = [](double d) {
+        std::ostringstream out;
+        out << std::setprecision(17) << '"' << d << '"';
+        return out.str();
+    };
+    for (size_t i = 0; i < n; ++i) {
+        const Camera& c = views.views[i].camera;
+        const Intrinsics& in = c.intrinsics;
+        v << (i ? "," : "") << "{\"viewId\":\"" << 100 + i << "\",\"poseId\":\"" << 100 + i << "\",\"intrinsicId\":\"" << 7 + i << "\",\"path\":\"/home/me/" << views.views[i].name << "\",\"width\":\"" << in.width_px << "\",\"height\":\"" << in.height_px << "\"}";
+        k << (i ? "," : "") << "{\"intrinsicId\":\"" << 7 + i << "\",\"width\":\"" << in.width_px << "\",\"height\":\"" << in.height_px << "\",\"type\":\"" << (millimetres ? "pinhole" : "radial3") << "\",";
+        if (millimetres) k << "\"sensorWidth\":\"36\",\"focalLength\":" << quoted(in.fx * 36 / in.width_px) << ",\"pixelRatio\":\"1\",\"distortionType\":\"none\",";
+        else k << "\"pxFocalLength\":" << quoted(in.fx) << ",\"distortionParams\":[\"0\",\"0\",\"0\"],";
+        k << "\"principalPoint\":[" << quoted(in.cx - 0.5 - (millimetres ? 0.5 * in.width_px : 0)) << "," << quoted(in.cy - 0.5 - (millimetres ? 0.5 * in.height_px : 0)) << "]}";
+        x << (i ? "," : "") << "{\"poseId\":\"" << 100 + i << "\",\"pose\":{\"transform\":{\"rotation\":[";
+        for (int a = 0; a < 9; ++a) x << (a ? "," : "") << quoted(c.camera_from_world.rotation(a % 3, a / 3));
+        const Vec3d centre = c.centre_world();
+        x << "],\"center\":[" << quoted(centre[0]) << "," << quoted(centre[1]) << "," << quoted(centre[2]) << "]},\"locked\":\"0\"}}";
+    }
+    return std::string("{\"version\":[") + (millimetres ? "\"1\",\"2\",\"6\"" : "\"1\",\"0\",\"0\"") + "],\"views\":[" + v.str() + "],\"intrinsics\":[" + k.str() + "],\"poses\":[" + x.str() + "]}";
+}
+
+std::string realitycapture_text(const Views& views) {
+    std::ostringstream out;
+    out << std::setprecision(17) << "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n";
+    for (const View& v : views.views) {
+        const Camera& c = v.camera;
+        const Vec3d centre = c.centre_world();
+        // Rz(-heading) Rx(pitch) Ry(roll), from the entries of the rotation of OpenGL's axes into the world.
+        const Mat3d m = c.camera_from_world.rotation.transpose() * Vec3d(1, -1, -1).asDiagonal();
+        const double degrees = 180 / std::numbers::pi;
+        const double pitch = std::asin(m(2, 1)), roll = std::atan2(-m(2, 0), m(2, 2)), yaw = std::atan2(-m(0, 1), m(1, 1));
+        const double per_mm = std::max(c.intrinsics.width_px, c.intrinsics.height_px) / 36.0;
+        out << v.name << "," << centre[0] << "," << centre[1] << "," << centre[2] << "," << -yaw * degrees << "," << pitch * degrees << "," << roll * degrees << "," << c.intrinsics.fx / per_mm << ","
+            << (c.intrinsics.cx - 0.5 * c.intrinsics.width_px) / per_mm << "," << (c.intrinsics.cy - 0.5 * c.intrinsics.height_px) / per_mm << ",0,0,0,0,0,0\n";
+    }
+    return out.str();
+}
+
+std::string matlab_bytes(const Views& views) {
+    std::string out;
+    const auto put = [](std::string& to, auto value) { to.append(reinterpret_cast<const char*>(&value), sizeof value); };
+    const auto element = [&](uint32_t type, const std::string& content) {
+        std::string e;
+        put(e, type);
+        put(e, static_cast<uint32_t>(content.size()));
+        e += content;
+        e.resize((e.size() + 7) / 8 * 8, '\0');
+        return e;
+    };
+    const auto array = [&](uint32_t matlab_class, const std::vector<int32_t>& dims, const std::string& name, const std::string& content) {
+        std::string flags, sides;
+        put(flags, matlab_class);
+        put(flags, uint32_t{0});
+        for (const int32_t d : dims) put(sides, d);
+        return element(14, element(6, flags) + element(5, sides) + element(1, name) + content);
+    };
+    std::string cells;
+    for (const View& v : views.views) {
+        std::istringstream in(projection_text(v, 1.5));
+        double p[12];
+        for (double& x : p) in >> x;
+        std::string numbers;
+        for (int column = 0; column < 4; ++column)
+            for (int row = 0; row < 3; ++row) put(numbers, p[4 * row + column]);
+        cells += array(6, {3, 4}, "", element(9, numbers));
+    }
+    out = "MATLAB 5.0 MAT-file, written for a test";
+    out.resize(124, ' ');
+    put(out, uint16_t{0x0100});
+    out += "IM";
+    return out + array(1, {1, static_cast<int32_t>(views.views.size())}, "P", cells);
 }
 
 void write_colmap_text(const std::filesystem::path& folder, const Views& views) {

@@ -22,6 +22,14 @@ std::string metashape_text(const Views& views, const std::string& distortion);
 /// Bundler's, for cameras with square pixels and centred principal points; before the last there is one that was not registered ("lost.png").
 std::string bundler_text(const Views& views);
 std::string nvm_text(const Views& views);
+/// OpenMVG's sfm_data.json; the last view has no pose ("lost.png").
+std::string openmvg_text(const Views& views);
+/// Meshroom's .sfm of file version 1.0.0 (lengths in pixels) or 1.2.6 (millimetres on a sensor 36 mm wide, the principal point from the middle on), numbers as strings.
+std::string meshroom_text(const Views& views, bool millimetres);
+/// RealityCapture's, for cameras with square pixels.
+std::string realitycapture_text(const Views& views);
+/// A MATLAB 5 file with one 1xN cell array of 3x4 matrices in the integer pixel-centre convention, byte for byte.
+std::string matlab_bytes(const Views& views);
 void write_colmap_text(const std::filesystem::path& folder, const Views& views);
 void write_colmap_binary(const std::filesystem::path& folder, const Views& views);
 
