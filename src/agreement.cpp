@@ -17,7 +17,45 @@ constexpr int kContourReach_px = 100;
 
 }  // namespace
 
+namespace {
+
+/// Left, top, right, bottom (the last ones outside) of what is object in either, with a border of two pixels where the image has one.
+std::array<int, 4> window_of(ImageView<uint8_t> a, ImageView<uint8_t> b) {
+    std::array<int, 4> box{a.width, a.height, 0, 0};
+    for (int y = 0; y < a.height; ++y)
+        for (int x = 0; x < a.width; ++x)
+            if (a.at(x, y) >= 128 || b.at(x, y) >= 128) box = {std::min(box[0], x), std::min(box[1], y), std::max(box[2], x + 1), std::max(box[3], y + 1)};
+    if (box[2] == 0) return {0, 0, a.width, a.height};
+    return {std::max(0, box[0] - 2), std::max(0, box[1] - 2), std::min(a.width, box[2] + 2), std::min(a.height, box[3] + 2)};
+}
+
+Image8 cropped(ImageView<uint8_t> image, const std::array<int, 4>& box) {
+    if (image.empty()) return {};
+    Image8 out(box[2] - box[0], box[3] - box[1]);
+    for (int y = 0; y < out.height; ++y) std::copy_n(&image.at(box[0], box[1] + y), out.width, out.data.data() + static_cast<size_t>(y) * static_cast<size_t>(out.width));
+    return out;
+}
+
+SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, const MaskView& mask);
+
+}  // namespace
+
 SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask) {
+    // Beside both silhouettes there is nothing to compare, and photographs are mostly that.
+    const std::array<int, 4> box = window_of(hit, mask.coverage);
+    const Image8 coverage = cropped(mask.coverage, box), ignore = cropped(mask.ignore, box);
+    SilhouetteAgreement out = compare_whole(cropped(hit, box), {coverage, ignore});
+    if (out.missed_px > 0)
+        for (size_t side = 0; side < 4; ++side) out.missed_blob[side] += box[side % 2];
+    // Nothing in common: as far apart as the picture is wide.
+    if (out.iou == 0) out.contour_p95_px = out.contour_p99_px = std::hypot(hit.width, hit.height);
+    for (auto& p : out.thin_lost) p = {p[0] + box[0], p[1] + box[1]};
+    return out;
+}
+
+namespace {
+
+SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, const MaskView& mask) {
     SilhouetteAgreement out;
     const int width = hit.width, height = hit.height;
     size_t both = 0, either = 0;
@@ -52,10 +90,7 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
         out.thin_lost = io::skeleton_near(mask.coverage, missed);
         out.thin_length_lost_px = out.thin_lost.size();
     }
-    if (both == 0) {  // nothing in common: as far apart as the picture is wide, unless both are empty
-        if (either) out.contour_p95_px = out.contour_p99_px = std::hypot(width, height);
-        return out;
-    }
+    if (both == 0) return out;
     // Where either contour runs, the two signed distances differ by the contours' displacement there.
     const ImageF sa = signed_distance(hit, kContourReach_px), sb = signed_distance(mask.coverage, kContourReach_px);
     std::vector<float> apart;
@@ -71,6 +106,8 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
     out.contour_p99_px = percentile(apart, 0.99);
     return out;
 }
+
+}  // namespace
 
 Image8 mask_overlay(ImageView<uint8_t> photo, const Mask& mask) {
     constexpr int kMostWidth = 1024;

@@ -108,6 +108,15 @@ for set in generic avx2 avx512; do
 done
 expect 0 'elevations' check scene
 expect 0 '"median_iou"' check scene --json -
+expect 0 '"findings"' check scene --only images --json -
+expect 3 'no such folder' check nowhere
+expect 0 'scene -> set' export scene --undistort -o set
+check 'COLMAP gets cameras and pictures' test -s set/sparse/0/cameras.txt -a -s set/images/0000.png
+expect 0 '' export out -o nerf/transforms.json
+check 'and nerfstudio its file' grep -q fl_x nerf/transforms.json
+expect 2 'undistort is of cameras' export out --undistort -o other.stl
+expect 2 'video-range' mask scene -o nothing --video-range 3,1
+expect 2 'is no number|auto' reconstruct scene -o nothing --floor high
 expect 0 'F-score' evaluate out --truth scene/truth.ply --samples 2000
 expect 0 '"chamfer"' --json - evaluate out --truth scene/truth.ply --samples 2000 --align cameras --cameras out/cameras.json --truth-cameras scene
 expect 3 'no such|cannot' evaluate out --truth nowhere.ply

@@ -306,5 +306,44 @@ TEST(Caps, WhatOnlyConesBoundIsNamedAndCutOff) {
     error_of(ExitCode::Input, [&] { cut_flat(surface->deepCopy(), up, hull.max().z() + 1, quiet); });
 }
 
+// A tall box, a mound as a flat patch makes it, over and beside its foot, and a low box apart from them.
+TEST(Caps, AMoundOnTheFloorGoesAndFeetStay) {
+    constexpr double kVoxel = 0.02;
+    for (const Vec3d& up : {Vec3d(0, 0, 1), Vec3d(0, -1, 0)}) {
+        const auto grid = openvdb::FloatGrid::create(3 * kVoxel);
+        grid->setTransform(openvdb::math::Transform::createLinearTransform(kVoxel));
+        grid->setGridClass(openvdb::GRID_LEVEL_SET);
+        int axis = 0;
+        up.cwiseAbs().maxCoeff(&axis);
+        const auto box = [](const Vec3d& p, const Vec3d& centre, const Vec3d& half) {
+            const Vec3d q = (p - centre).cwiseAbs() - half;
+            return q.cwiseMax(0).norm() + std::min(0.0, q.maxCoeff());
+        };
+        auto values = grid->getAccessor();
+        for (int x = -70; x <= 70; ++x)
+            for (int y = -70; y <= 70; ++y)
+                for (int z = -6; z <= 60; ++z) {
+                    const Vec3d p = kVoxel * Vec3d(x, y, z);  // z: height
+                    const double foot = box(p, {0, 0, 0.5}, {0.2, 0.2, 0.5}), low = box(p, {-1, -1, 0.06}, {0.2, 0.2, 0.06});
+                    const double r = std::hypot(p.x() - 0.4, p.y());
+                    const double mound = std::max(-p.z(), (p.z() - 0.25 * (0.8 - r)) / std::hypot(1, 0.25));
+                    const double d = std::min({foot, low, mound});
+                    openvdb::Coord c(x, y, z);
+                    if (axis == 1) c = openvdb::Coord(x, -z, y);
+                    if (std::fabs(d) < 3 * kVoxel) values.setValueOn(c, static_cast<float>(d));
+                    else if (d < 0) values.setValueOff(c, static_cast<float>(-3 * kVoxel));
+                }
+        Progress quiet;
+        const MeshMeasures before = measure(extract_mesh(*grid, {}, quiet));
+        const Mesh cleared = extract_mesh(*clear_floor(grid->deepCopy(), up, 0, 0.01, 0.3, quiet), {}, quiet);
+        const MeshMeasures after = measure(cleared);
+        const double feet = 0.4 * 0.4 * 1 + 0.4 * 0.4 * 0.12;
+        EXPECT_GT(before.volume, feet + 0.08);
+        EXPECT_NEAR(after.volume, feet, 0.02 * feet);
+        EXPECT_TRUE(after.manifold);
+        EXPECT_EQ(after.components, 2u);
+    }
+}
+
 }  // namespace
 }  // namespace vdbcarve::test

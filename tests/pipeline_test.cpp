@@ -531,6 +531,127 @@ TEST(Pipeline, TheFootIsCutFlatAndWhatNobodySawIsNamed) {
     EXPECT_TRUE(flat["mesh"]["manifold"]);
 }
 
+TEST(Pipeline, AFilmIsAScene) {
+    TemporaryFolder folder;
+    SyntheticSpec spec = small_spec("ellipsoids", 60, 160, 120);
+    spec.look.film_rate_hz = 20;
+    spec.look.backdrop = Vec3d(0.05, 0.45, 0.1);
+    Progress quiet;
+    write_scene(synthesize(spec, quiet), folder / "scene");
+    ReconstructOptions o;
+    o.views.scene = folder / "scene/film.mp4";
+    o.video.frames = 20;
+    o.mask.method = MaskMethod::Chroma;
+    o.last_stage = LastStage::Mask;
+    o.output = folder / "out";
+    const auto run = [&] {
+        Progress progress;
+        return json::parse(reconstruct(o, progress).report_json);
+    };
+    const json first = run();
+    ASSERT_EQ(first["video"]["frames"].size(), 20u);
+    EXPECT_FALSE(Job::reused(first, "views"));
+    const std::string name = first["video"]["frames"][7]["name"];
+    EXPECT_TRUE(fs::exists(folder / ("out/masks/" + name)));
+    EXPECT_TRUE(Job::reused(run(), "views"));
+    o.video.frames = 10;
+    EXPECT_FALSE(Job::reused(run(), "views"));
+    // Cameras that belong to the frames are found again beside them.
+    o.video.frames = 20;
+    Views posed;
+    {
+        ViewsOptions v;
+        for (const auto& entry : fs::directory_iterator(folder / "out/stages"))
+            if (entry.path().filename().string().rfind("frames-", 0) == 0 && read_video_json(entry.path() / "frames.json").frames.size() == 20) v.scene = entry.path();
+        v.allow_unposed = true;
+        posed = load_views(v, quiet);
+        const SyntheticScene truth = synthesize(spec, quiet);
+        for (size_t i = 0; i < 20; ++i) posed.views[i].camera = truth.views.views[first["video"]["frames"][i]["index"].get<size_t>()].camera;
+    }
+    write_text(folder / "cameras.json", cameras_json(posed));
+    o.views.cameras = folder / "cameras.json";
+    o.last_stage = LastStage::Export;
+    o.output = folder / "model";
+    o.resolution = 64;
+    const json model = run();
+    EXPECT_GT(model["silhouette_iou"]["median"], 0.97);
+    EXPECT_TRUE(model["mesh"]["manifold"]);
+    // And from the result on, for other programs.
+    const Views again = result_views(folder / "model", {}, quiet);
+    ASSERT_EQ(again.views.size(), 20u);
+    EXPECT_TRUE(fs::exists(again.views[3].image_path));
+    o.dry_run = true;
+    EXPECT_THROW(run(), UsageError);
+}
+
+TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {
+    TemporaryFolder folder;
+    SyntheticSpec spec = small_spec("ellipsoids", 24, 400, 300);
+    spec.rig.kind = Rig::Kind::Rings;
+    spec.rig.rings = {{14, 4}, {14, 22}};
+    spec.look.table = true;
+    spec.look.table_reflection = 0.3;
+    spec.look.plates = true;
+    Progress quiet;
+    const SyntheticScene scene = synthesize(spec, quiet);
+    write_scene(scene, folder / "scene");
+    double foot = 1e9, top = -1e9;
+    for (const auto& v : scene.truth.vertices) {
+        foot = std::min<double>(foot, v[2]);
+        top = std::max<double>(top, v[2]);
+    }
+    ReconstructOptions o;
+    o.views.scene = folder / "scene";
+    o.mesh_formats = {"ply"};
+    o.color.mode = ColorMode::None;
+    o.resolution = 96;
+    o.views.up = "z";
+    const auto volume = [&](const char* out, const std::function<void(ReconstructOptions&)>& choose) {
+        ReconstructOptions chosen = o;
+        chosen.output = folder / out;
+        choose(chosen);
+        Progress progress;
+        return json::parse(reconstruct(chosen, progress).report_json);
+    };
+    const json clean = volume("clean", [](ReconstructOptions&) {});
+    const auto plates = [&](ReconstructOptions& c) {
+        c.mask.method = MaskMethod::CleanPlate;
+        c.mask.plate.plate = folder / "scene/plates";
+        c.mask.plate.shadows = false;  // they count as object
+    };
+    const json dirty = volume("dirty", plates);
+    const json floor = volume("floor", [&](ReconstructOptions& c) {
+        plates(c);
+        c.floor_from = ReconstructOptions::FloorFrom::Found;
+    });
+    const double true_volume = clean["mesh"]["volume"], kept = floor["mesh"]["volume"];
+    EXPECT_GT(dirty["mesh"]["volume"].get<double>(), 1.05 * true_volume);
+    EXPECT_NEAR(kept, true_volume, 0.02 * true_volume);
+    EXPECT_EQ(floor["floor"]["from"], "photographs");
+    EXPECT_NEAR(floor["floor"]["height"].get<double>(), foot, 0.005 * (top - foot));
+    EXPECT_TRUE(floor["mesh"]["manifold"]);
+    // Silhouettes alone show the lowest contour.
+    const json contour = volume("contour", [](ReconstructOptions& c) {
+        c.floor_from = ReconstructOptions::FloorFrom::Found;
+        c.views.images = c.views.scene / "masks";
+    });
+    EXPECT_EQ(contour["floor"]["from"], "lowest contour");
+    EXPECT_NEAR(contour["floor"]["height"].get<double>(), foot, 0.03 * (top - foot));
+    EXPECT_NEAR(contour["mesh"]["volume"].get<double>(), true_volume, 0.03 * true_volume);
+    // A height that is given; one above everything leaves nothing.
+    const json given = volume("given", [&](ReconstructOptions& c) {
+        c.floor_from = ReconstructOptions::FloorFrom::Given;
+        c.floor = 0.5 * (foot + top);
+    });
+    EXPECT_LT(given["mesh"]["volume"].get<double>(), 0.9 * true_volume);
+    error_of(ExitCode::Input, [&] {
+        volume("nothing", [&](ReconstructOptions& c) {
+            c.floor_from = ReconstructOptions::FloorFrom::Given;
+            c.floor = top + 1;
+        });
+    });
+}
+
 TEST(Synthetic, SameSeedSameSceneOtherSeedAnother) {
     SyntheticSpec spec = small_spec("cup", 2, 64, 48);
     spec.rig.shake_angle_deg = 5;
