@@ -215,11 +215,11 @@ openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d
     const int u = (axis + 1) % 3, v = (axis + 2) % 3, upwards = up[axis] > 0 ? 1 : -1;
     const double voxel = surface->voxelSize()[0];
     const float band = surface->background();
-    // The first layer whose centres are above the floor.
+    // The first layer whose centres are above the floor, and not just on it, where a sign is an accident.
     openvdb::Vec3d at(0.0);
     at[axis] = height * up[axis];
     const double exact = surface->worldToIndex(at)[axis];
-    const int lowest = static_cast<int>(upwards > 0 ? std::ceil(exact) : std::floor(exact));
+    const int lowest = static_cast<int>(upwards > 0 ? std::ceil(exact + 0.05) : std::floor(exact - 0.05));
     const openvdb::CoordBBox box = surface->evalActiveVoxelBoundingBox();
     const int width = box.dim()[u] + 2, depth = box.dim()[v] + 2;
     const auto coord = [&](int i, int j, int layers) {
