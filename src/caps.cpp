@@ -9,6 +9,7 @@
 #include <Eigen/Eigenvalues>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <opencv2/imgproc.hpp>
 
 #include "filter_plan.h"
@@ -261,11 +262,12 @@ openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d
         for (const auto& [di, dj] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}}) take(i + di, j + dj);
     }
     if (cv::countNonZero(gone) == 0) return surface;
-    // Signed distance to the border of what goes, voxels, positive within; beyond what stands at all it makes no difference.
-    cv::Mat within, without, outer = gone == 0;
-    cv::distanceTransform(gone, within, cv::DIST_L2, cv::DIST_MASK_PRECISE);
-    outer &= foot;
-    cv::distanceTransform(outer, without, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+    // How far within what goes, voxels, within a voxel or so of its border; smoothed, for columns are a staircase. Where nothing stands it makes no difference.
+    cv::Mat goes;
+    cv::Mat(gone | (foot == 0)).convertTo(goes, CV_32F, 1 / 255.0);
+    constexpr double kSmooth_vox = 1.2;
+    cv::GaussianBlur(goes, goes, {}, kSmooth_vox, kSmooth_vox, cv::BORDER_REPLICATE);
+    const double slope_of_blur = std::sqrt(2 * std::numbers::pi) * kSmooth_vox;
     open_inside_tiles(*surface, [&](const Coord& c) { return (c[axis] - lowest) * upwards < most + 8 ? Block::Opened : Block::Stays; });
     const int half_width = half_width_of(*surface);
     openvdb::tree::LeafManager<openvdb::FloatTree>(surface->tree()).foreach ([&](Leaf& leaf, size_t) {
@@ -273,7 +275,7 @@ openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d
             const Coord c = leaf.offsetToGlobalCoord(n);
             const int i = c[u] - box.min()[u] + 1, j = c[v] - box.min()[v] + 1;
             if (i < 0 || j < 0 || i >= width || j >= depth) continue;
-            const double inside = gone.at<uint8_t>(j, i) ? within.at<float>(j, i) - 0.5 : foot.at<uint8_t>(j, i) ? 0.5 - without.at<float>(j, i) : 1e9;
+            const double share = goes.at<float>(j, i), inside = share > 0.98 ? 1e9 : share < 0.02 ? -1e9 : (share - 0.5) * slope_of_blur;
             // Above what stands here, or next to here, is whatever hangs over it.
             int top = standing.at<int>(j, i);
             for (const auto& [di, dj] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}})

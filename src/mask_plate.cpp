@@ -83,26 +83,35 @@ cv::Mat grown_within(cv::Mat seed, const cv::Mat& within, int steps) {
     return seed;
 }
 
-/// What is a shadow becomes background: with its edge, as far as that may be one; but not where most of its border is object, for then it is a part of the object that happens to look like one.
+/// What is a shadow becomes background: with its edge, as far as that may be one; but not where most of what lies around it is object, for then it is a part of the object that happens to look like one. An object of the
+/// table's colour touches its shadow; where they meet, brightness jumps, so pieces are judged as they are without their edges.
 void remove_shadows(cv::Mat& binary, const cv::Mat& shadow) {
     constexpr int kEdge_px = 6;
     cv::Mat found = shadow == kShadow;
     cv::morphologyEx(found, found, cv::MORPH_OPEN, cv::getStructuringElement(cv::MORPH_ELLIPSE, {3, 3}));
-    found = grown_within(found, shadow > 0, kEdge_px);
     cv::Mat labels;
-    const int n = cv::connectedComponents(found, labels, 8, CV_32S);
+    const int n = cv::connectedComponents(found, labels, 4, CV_32S);
     std::vector<size_t> beside_object(static_cast<size_t>(n), 0), beside_background(static_cast<size_t>(n), 0);
-    const auto each_neighbour = [&](int x, int y, const auto& work) {
-        for (const auto& [u, v] : {std::pair{x - 1, y}, {x + 1, y}, {x, y - 1}, {x, y + 1}})
-            if (u >= 0 && v >= 0 && u < binary.cols && v < binary.rows && labels.at<int>(v, u) == 0) work(u, v);
-    };
+    const auto label_at = [&](int x, int y) { return x >= 0 && y >= 0 && x < binary.cols && y < binary.rows ? labels.at<int>(y, x) : -1; };
     for (int y = 0; y < binary.rows; ++y)
-        for (int x = 0; x < binary.cols; ++x)
-            if (const auto label = static_cast<size_t>(labels.at<int>(y, x)))
-                each_neighbour(x, y, [&](int u, int v) { ++(binary.at<uint8_t>(v, u) ? beside_object : beside_background)[label]; });
+        for (int x = 0; x < binary.cols; ++x) {
+            const int label = labels.at<int>(y, x);
+            if (!label) continue;
+            for (const auto& [dx, dy] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}}) {
+                if (label_at(x + dx, y + dy) == label) continue;
+                const int u = x + (kEdge_px + 1) * dx, v = y + (kEdge_px + 1) * dy, beyond = label_at(u, v);
+                if (beyond >= 0 && beyond != label) ++(binary.at<uint8_t>(v, u) ? beside_object : beside_background)[static_cast<size_t>(label)];
+            }
+        }
+    cv::Mat gone = cv::Mat::zeros(binary.size(), CV_8U), within = shadow > 0;
     for (int y = 0; y < binary.rows; ++y)
-        for (int x = 0; x < binary.cols; ++x)
-            if (const auto label = static_cast<size_t>(labels.at<int>(y, x)); label && 3 * beside_background[label] > beside_object[label]) binary.at<uint8_t>(y, x) = 0;
+        for (int x = 0; x < binary.cols; ++x) {
+            const auto label = static_cast<size_t>(labels.at<int>(y, x));
+            if (!label) continue;
+            const bool is_shadow = 3 * beside_background[label] > beside_object[label];
+            (is_shadow ? gone : within).at<uint8_t>(y, x) = is_shadow ? 255 : 0;
+        }
+    binary.setTo(0, grown_within(gone, within, kEdge_px));
 }
 
 }  // namespace
