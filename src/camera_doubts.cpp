@@ -60,6 +60,11 @@ std::vector<Reading> readings_of(const std::vector<Camera>& cameras) {
     poses("with rotations transposed, and the cameras' y and z axes negated", [&](const Rigid3& p) { return gl(transposed(p)); });
     poses("with translations as the cameras' places", centred);
     poses("with translations as the cameras' places, and the cameras' y and z axes negated", [&](const Rigid3& p) { return Rigid3{flip * p.rotation, -(flip * p.rotation * p.translation)}; });
+    poses("with rotations transposed, the cameras staying where they are", [](const Rigid3& p) { return Rigid3{p.rotation.transpose(), p.rotation.transpose() * (p.rotation.transpose() * p.translation)}; });
+    poses("with rotations transposed before axes are turned, the cameras staying where they are", [&](const Rigid3& p) {
+        const Mat3d r = flip * p.rotation.transpose() * flip;
+        return Rigid3{r, r * (p.rotation.transpose() * p.translation)};
+    });
     const auto lengths = [&](const std::string& words, double factor) {
         Reading r{words, cameras, own, false, 0};
         for (Camera& c : r.cameras) c.intrinsics.fx *= factor, c.intrinsics.fy *= factor;

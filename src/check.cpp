@@ -332,7 +332,14 @@ CheckResult check(const CheckOptions& options, Progress& progress) {
     ViewsOptions vo = options.views;
     vo.cameras_only = !options.masks && !options.images;
     vo.allow_unposed = options.masks || options.images;
-    const Views views = load_views(vo, progress);
+    Views views;
+    try {
+        views = load_views(vo, progress);
+    } catch (const InputError& e) {
+        find(out, Severity::Error, "cameras", e.what(), e.code());
+        out.exit_code = e.code();
+        return out;
+    }
     out.views = views.views.size();
     out.up_said = views.up;
     out.units_said = views.units;
@@ -341,6 +348,8 @@ CheckResult check(const CheckOptions& options, Progress& progress) {
     if (options.cameras && views.posed) check_cameras(views, out);
     const bool readable = std::none_of(out.findings.begin(), out.findings.end(), [](const Finding& f) { return f.severity == Severity::Error && f.code == ExitCode::Input; });
     if (options.masks && readable) check_masks(options, views, out, progress);
+    if (out.better)  // which says more
+        std::erase_if(out.findings, [](const Finding& f) { return f.severity == Severity::Error && f.part == "cameras" && f.text.find("look away from where") != std::string::npos; });
     for (const std::string& w : progress.warnings()) find(out, Severity::Warning, "masks", w);
     for (const std::string& w : views.unverified) find(out, Severity::Error, "cameras", "UNVERIFIED cameras: " + w, ExitCode::Undetermined);
     std::vector<std::string> unused;

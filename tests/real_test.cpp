@@ -50,6 +50,17 @@ INSTANTIATE_TEST_SUITE_P(Sets, Real,
                                          Set{"dinoRing", [](ReconstructOptions& o) { threshold(o, 25, 3); }, 0.97, 0.88},
                                          Set{"templeRing", [](ReconstructOptions& o) { threshold(o, 64, 10); }, 0.97, 0.9},
                                          Set{"david_sfs", [](ReconstructOptions& o) { threshold(o, 110, 3); }, 0.96, 0.9},
+                                         // A file that MATLAB wrote, of a projective and mirrored world; a blue cloth.
+                                         Set{"vgg_dino", [](ReconstructOptions& o) {
+                                                 o.mask.method = MaskMethod::Chroma;
+                                                 o.views.accept_non_metric = true;
+                                             }, 0.98, 0.97},
+                                         Set{"aruco_board02", [](ReconstructOptions& o) {
+                                                 o.align.method = AlignMethod::Mat;
+                                                 o.align.mat = read_mat("grid:5x7:0.035:0.005:6X6_250");
+                                                 o.align_again = true;
+                                                 o.mask.masks = "silhouette";
+                                             }, 0.97, 0.95},
                                          Set{"kai46_example", [](ReconstructOptions&) {}, 0.99, 0.98},
                                          Set{"nerf_lego", [](ReconstructOptions&) {}, 0.985, 0.97},
                                          Set{"scene_dragon_clean", [](ReconstructOptions&) {}, 0.99, 0.985},

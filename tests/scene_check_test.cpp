@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // check() on shoots that are wrong on purpose, each in one way.
 #include <cmath>
+#include <nlohmann/json.hpp>
 
 #include "camera_doubts.h"
 #include "io_image.h"
@@ -119,6 +120,31 @@ TEST(SceneCheck, TransposedRotations) {
     expect_mended(s, r);
 }
 
+TEST(SceneCheck, TransposedRotationsAtTheirPlaces) {
+    for (const bool gl : {false, true}) {
+        Scene s;
+        const Mat3d flip = gl ? Mat3d(Vec3d(1, -1, -1).asDiagonal()) : Mat3d(Mat3d::Identity());
+        s.each([&](Camera& c) {
+            const Vec3d centre = c.centre_world();
+            c.camera_from_world.rotation = Mat3d(flip * c.camera_from_world.rotation.transpose() * flip);
+            c.camera_from_world.translation = -(c.camera_from_world.rotation * centre);
+        });
+        const CheckResult r = s.result();
+        expect_finding(r, ExitCode::Contradiction, "staying where they are", "--write-cameras");
+        expect_mended(s, r);
+    }
+}
+
+TEST(SceneCheck, LeftHandedPoses) {
+    Scene s;
+    s.result();
+    auto j = nlohmann::json::parse(read_text(s.folder / "scene/transforms.json"));
+    for (auto& f : j["frames"])
+        for (auto& x : f["transform_matrix"][2]) x = -x.get<double>();
+    write_text(s.folder / "scene/transforms.json", j.dump());
+    expect_finding(s.again(), ExitCode::Input, "left-handed", "right-handed");
+}
+
 TEST(SceneCheck, MirroredImages) {
     Scene s;
     for (Mask& m : s.scene.masks) m.coverage = io::turned(m.coverage, 2);
@@ -186,7 +212,7 @@ TEST(SceneCheck, ADamagedPhotograph) {
 
 TEST(SceneCheck, TheWrongWayUp) {
     Scene s;
-    expect_finding(s.result([](CheckOptions& o) { o.views.up = "y"; }), ExitCode::Done, "upright along z", "--up z");
+    expect_finding(s.result([](CheckOptions& o) { o.views.up = std::string("y"); }), ExitCode::Done, "upright along z", "--up z");
 }
 
 TEST(SceneCheck, TheWrongUnit) {
@@ -213,7 +239,7 @@ TEST(SceneCheck, PhotographsWithoutCameras) {
 
 TEST(SceneCheck, JsonHoldsFindings) {
     Scene s;
-    const std::string text = check_json(s.result([](CheckOptions& o) { o.views.up = "y"; }));
+    const std::string text = check_json(s.result([](CheckOptions& o) { o.views.up = std::string("y"); }));
     EXPECT_NE(text.find("\"findings\""), std::string::npos);
     EXPECT_NE(text.find("\"remedy\": \"--up z\""), std::string::npos);
 }

@@ -23,6 +23,8 @@ Command add_check(CLI::App& program) {
     app->add_option("--write-cameras", raw->write_cameras, "where the poses fit when read in another way: write them so, as a cameras.json");
     app->add_option("--resolution", o.resolution, "of the hull that masks are compared with")->capture_default_str()->check(CLI::Range(32, 1024));
     add_scene_options(*app, o.views, o.mask);
+    app->add_option("--up", o.views.up, "world up axis, where the camera file says none or another: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
+    app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, km, inch, ft");
     app->footer("Examples:\n"
                 "  vdbcarve check shoot                                                     everything: images, cameras, masks, and whether they fit together\n"
                 "  vdbcarve check shoot --only cameras                                      quickly: no picture is read\n"

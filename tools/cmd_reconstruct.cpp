@@ -144,7 +144,7 @@ void add_dcc_option(CLI::App& command, Dcc& dcc) {
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask) {
     CLI::App* app = &command;
     app->add_option("--images", views.images, "folder of photographs")->group("Scene");
-    app->add_option("--cameras", views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa or text with 3x4 matrices; experimental: OpenCV's .yml, .xml, .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm, OpenMVG's .json, Meshroom's .sfm, RealityCapture's .csv, MATLAB's .mat")->group("Scene");
+    app->add_option("--cameras", views.cameras, "camera file: transforms.json, cameras.json, COLMAP folder, *_par.txt, .pa, .mat or text with 3x4 matrices; experimental: OpenCV's .yml, .xml, .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm, OpenMVG's .json, Meshroom's .sfm, RealityCapture's .csv")->group("Scene");
     app->add_option("--masks", mask.masks, "folder of masks (white = object)")->group("Scene");
     add_choice<MaskMethod>(*app, "--mask", mask.method, {{"auto", MaskMethod::Auto}, {"alpha", MaskMethod::Alpha}, {"folder", MaskMethod::Folder}, {"threshold", MaskMethod::Threshold}, {"chroma", MaskMethod::Chroma}, {"clean-plate", MaskMethod::CleanPlate}, {"grabcut", MaskMethod::GrabCut}},
                            "where masks come from: auto (files, else alpha, else images that are silhouettes), alpha, folder, threshold, chroma (a coloured cloth behind), clean-plate (photographs without the object), grabcut (colours, from a box)")
