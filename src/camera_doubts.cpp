@@ -24,6 +24,7 @@ constexpr int kSmall_px = 240;    ///< longer side of the silhouettes that readi
 constexpr int kReadingVoxels = 80;
 constexpr size_t kPointsPerView = 60;
 constexpr double kOutlier_px = 3;
+constexpr double kLeastObject_px = 700;
 
 Camera scaled(Camera c, int width, int height) {
     Intrinsics& k = c.intrinsics;
@@ -128,8 +129,10 @@ std::optional<CommonError> common_error(const std::vector<Camera>& cameras, cons
     if (!middle || std::any_of(cameras.begin(), cameras.end(), [](const Camera& c) { return c.intrinsics.orthographic || std::fabs(c.intrinsics.skew) > 1e-6 * c.intrinsics.fx; })) return std::nullopt;
     Silhouettes silhouettes(masks);
     if (silhouettes.seen().size() < 4) return std::nullopt;
-    const std::vector<CoherenceView>& views = silhouettes.at_scale(1);
-    const std::vector<ContourPoint> points = silhouettes.contour(1, kPointsPerView, 1, 0, Silhouettes::Which::All);
+    int scale = 1;  // large photographs are looked at more coarsely: their fields would be gigabytes
+    while (silhouettes.size_px() / (2 * scale) >= kLeastObject_px) scale *= 2;
+    const std::vector<CoherenceView>& views = silhouettes.at_scale(scale);
+    const std::vector<ContourPoint> points = silhouettes.contour(scale, kPointsPerView, 1, 0, Silhouettes::Which::All);
     const auto moved = [&](const Vec3d& by) {
         std::vector<OrbitCamera> out;
         for (const Camera& c : cameras) {

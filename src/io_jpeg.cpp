@@ -28,9 +28,15 @@ void stop(j_common_ptr info) {
 
 void listen(j_common_ptr info, int level) {
     auto* listener = reinterpret_cast<Listener*>(info->err);
-    // Some cameras leave stray bytes between segments: nothing is lost by those.
-    if (level >= 0 || info->err->msg_code == JWRN_EXTRANEOUS_DATA || listener->lost[0]) return;
-    info->err->format_message(info, listener->lost);
+    if (level >= 0 || listener->lost[0]) return;
+    switch (info->err->msg_code) {  // of the others nothing is lost: stray bytes between segments, odd headers, a profile that is none
+        case JWRN_JPEG_EOF:
+        case JWRN_HIT_MARKER:
+        case JWRN_HUFF_BAD_CODE:
+        case JWRN_MUST_RESYNC:
+        case JWRN_NOT_SEQUENTIAL:
+        case JWRN_BOGUS_PROGRESSION: info->err->format_message(info, listener->lost);
+    }
 }
 
 void quiet(j_common_ptr) {}
@@ -41,6 +47,8 @@ struct Reader {
     Listener listener{};
     Image8 pixels;
     std::vector<uint8_t> profile;
+    JOCTET* profile_data = nullptr;
+    unsigned int profile_length = 0;
     bool inks = false;
 
     Reader() {
@@ -65,15 +73,13 @@ struct Reader {
     }
 
     bool picture() {
-        JOCTET* data = nullptr;
-        unsigned int length = 0;
-        if (jpeg_read_icc_profile(&info, &data, &length)) {
-            profile.assign(data, data + length);
-            std::free(data);
+        if (setjmp(listener.on_error)) return false;
+        if (jpeg_read_icc_profile(&info, &profile_data, &profile_length)) {
+            profile.assign(profile_data, profile_data + profile_length);
+            std::free(profile_data);
         }
         info.out_color_space = info.jpeg_color_space == JCS_GRAYSCALE ? JCS_GRAYSCALE : JCS_RGB;
         pixels = Image8(static_cast<int>(info.image_width), static_cast<int>(info.image_height), info.out_color_space == JCS_GRAYSCALE ? 1 : 3);
-        if (setjmp(listener.on_error)) return false;
         jpeg_start_decompress(&info);
         const size_t row = static_cast<size_t>(pixels.width) * static_cast<size_t>(pixels.channels);
         while (info.output_scanline < info.output_height) {

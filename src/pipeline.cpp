@@ -563,7 +563,7 @@ class Job {
             return false;
         }
         Sha256 h;
-        h.add("floor").add_value(kCodeVersion).add(mask_key_).add(up());
+        h.add("floor").add_value(kCodeVersion).add(mask_key_).add(up()).add_value(o_.min_seen);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         for (const size_t i : used_) h.add_value(i);
         const fs::path file = store_.path("floor", h.hex(), ".json");
