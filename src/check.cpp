@@ -86,7 +86,7 @@ void check_cameras(const Views& views, CheckResult& out) {
         const bool most = away.size() * 2 > cameras.size();
         find(out, most ? Severity::Error : Severity::Warning, "cameras",
              std::to_string(away.size()) + " of " + std::to_string(cameras.size()) + " cameras look away from where the others look (" + some_of(away) + ")" +
-                 (most ? ": the camera file's axes are probably another program's. Remedy: check with masks, which tries other readings" : ". Remedy: look at their poses"));
+                 (most ? ": the camera file's axes are probably another program's. Remedy: look at which way round the poses are and which axes they have; check with masks tries other readings" : ". Remedy: look at their poses"));
     }
     if (up.norm() < 0.1 * static_cast<double>(cameras.size())) {
         find(out, Severity::Warning, "cameras", "the images' up directions cancel each other: cameras all around, or turned upside down by turns; azimuths are not judged");
@@ -345,11 +345,10 @@ CheckResult check(const CheckOptions& options, Progress& progress) {
     out.units_said = views.units;
     if (!views.posed) find(out, Severity::Note, "cameras", "there are no cameras yet. Remedy: vdbcarve align, or reconstruct, which finds them");
     if (options.images) check_images(views, out, progress);
-    if (options.cameras && views.posed) check_cameras(views, out);
     const bool readable = std::none_of(out.findings.begin(), out.findings.end(), [](const Finding& f) { return f.severity == Severity::Error && f.code == ExitCode::Input; });
     if (options.masks && readable) check_masks(options, views, out, progress);
-    if (out.better)  // which says more
-        std::erase_if(out.findings, [](const Finding& f) { return f.severity == Severity::Error && f.part == "cameras" && f.text.find("look away from where") != std::string::npos; });
+    // Of poses that are to be read in another way, what they are then.
+    if (options.cameras && views.posed) check_cameras(out.better ? *out.better : views, out);
     for (const std::string& w : progress.warnings()) find(out, Severity::Warning, "masks", w);
     for (const std::string& w : views.unverified) find(out, Severity::Error, "cameras", "UNVERIFIED cameras: " + w, ExitCode::Undetermined);
     std::vector<std::string> unused;

@@ -41,7 +41,7 @@ struct Finding {
 
 struct CheckResult {
     size_t views = 0;
-    // Cameras.
+    // Cameras; of `better`, where there is one.
     Vec3d look_at_world = Vec3d::Zero();
     double look_at_miss = 0;          ///< median distance of the optical axes from it, share of the median distance
     Vec3d up_world = Vec3d::Zero();   ///< mean of the images' up directions, unit length
