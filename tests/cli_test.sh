@@ -116,7 +116,7 @@ expect 0 '' export out -o nerf/transforms.json
 check 'and nerfstudio its file' grep -q fl_x nerf/transforms.json
 expect 2 'undistort is of cameras' export out --undistort -o other.stl
 expect 2 'video-range' mask scene -o nothing --video-range 3,1
-expect 2 'is no number|auto' reconstruct scene -o nothing --floor high
+expect 2 'must be auto or a height' reconstruct scene -o nothing --floor high
 expect 0 'F-score' evaluate out --truth scene/truth.ply --samples 2000
 expect 0 '"chamfer"' --json - evaluate out --truth scene/truth.ply --samples 2000 --align cameras --cameras out/cameras.json --truth-cameras scene
 expect 3 'no such|cannot' evaluate out --truth nowhere.ply

@@ -620,13 +620,19 @@ TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {
         c.mask.plate.shadows = false;  // they count as object
     };
     const json dirty = volume("dirty", plates);
+    // Masks of photographs lose a little at every contour; these lose the same, and know shadows by their colour.
+    const json known = volume("known", [&](ReconstructOptions& c) {
+        plates(c);
+        c.mask.plate.shadows = true;
+    });
     const json floor = volume("floor", [&](ReconstructOptions& c) {
         plates(c);
         c.floor_from = ReconstructOptions::FloorFrom::Found;
     });
     const double true_volume = clean["mesh"]["volume"], kept = floor["mesh"]["volume"];
     EXPECT_GT(dirty["mesh"]["volume"].get<double>(), 1.05 * true_volume);
-    EXPECT_NEAR(kept, true_volume, 0.02 * true_volume);
+    EXPECT_NEAR(kept, known["mesh"]["volume"].get<double>(), 0.01 * true_volume);
+    EXPECT_NEAR(kept, true_volume, 0.03 * true_volume);
     EXPECT_EQ(floor["floor"]["from"], "photographs");
     EXPECT_NEAR(floor["floor"]["height"].get<double>(), foot, 0.005 * (top - foot));
     EXPECT_TRUE(floor["mesh"]["manifold"]);

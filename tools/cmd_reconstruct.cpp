@@ -327,7 +327,11 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     if (last != LastStage::Mask) {
         app->add_option_function<std::string>("--floor", [raw](const std::string& text) {
             raw->options.floor_from = text == "auto" ? ReconstructOptions::FloorFrom::Found : ReconstructOptions::FloorFrom::Given;
-            if (text != "auto") raw->options.floor = numbers("--floor", text, 1)[0];
+            try {
+                if (text != "auto") raw->options.floor = numbers("--floor", text, 1)[0];
+            } catch (const UsageError&) {
+                throw UsageError("--floor " + text + ": must be auto or a height, a number along the up axis");
+            }
         }, "height of the table, along up: nothing of the object is lower (reflections are cut off); auto: found in the photographs by the table's pattern, else the lowest contour (default: the camera file's, of a mat)")->type_name("auto|HEIGHT")->group("Result");
         if (last == LastStage::Export) app->add_option("--floor-clear", o.floor_clear, "what a flat patch on the floor makes in the hull is no part of the object (contact shadows); so much higher is allowed for, scene units (default: 1 % of the height with --floor; 0: nothing is cleared)")->check(CLI::NonNegativeNumber)->group("Result");
     }
