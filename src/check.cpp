@@ -234,10 +234,11 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
     std::stable_sort(out.agreements.begin(), out.agreements.end(), [](const ViewCheck& a, const ViewCheck& b) { return a.agreement.iou < b.agreement.iou; });
     if (out.median_iou < kGood)
         try_readings(views, seen, "the hull of all views covers its own silhouettes poorly (median IoU " + fixed(out.median_iou, 3) + "): cameras and masks do not fit together", out.median_iou < kFits ? Severity::Error : Severity::Warning, out, progress);
-    if (out.median_iou < kFits || out.better) return;
+    if (out.better) return;
     std::vector<std::string> broken;
     for (const size_t i : find_broken_masks(view_names, all, seen, progress)) broken.push_back(view_names[i]);
     if (!broken.empty()) find(out, Severity::Warning, "masks", counted(broken.size(), "mask") + " against all others: " + some_of(broken) + ". Remedy: mend or delete what is wrong, or --repair-masks");
+    if (out.median_iou < kFits) return;
     std::vector<std::string> weak;
     for (const ViewCheck& v : out.agreements)
         if (v.agreement.iou < std::min(0.95, out.median_iou - 0.02)) weak.push_back(v.name + " (IoU " + fixed(v.agreement.iou, 3) + ")");

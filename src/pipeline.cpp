@@ -484,6 +484,8 @@ class Job {
         }
         const size_t before = progress_.warnings().size();
         std::vector<size_t> broken = broken_masks();
+        for (const size_t i : broken)
+            if (!edited_[i].empty()) progress_.warn(edited_[i].string() + ": is against all others, but was edited by hand and is left as it is. Remedy: delete it to have it made anew");
         std::erase_if(broken, [&](size_t i) { return !edited_[i].empty(); });  // the user's word
         const fs::path part = o_.output / "stages" / ".repaired.part";
         fs::remove_all(part);

@@ -14,6 +14,7 @@
 #include "io_cameras.h"
 #include "io_exif.h"
 #include "io_image.h"
+#include "io_json.h"
 #include "statistics.h"
 #include "text.h"
 
@@ -121,6 +122,8 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
             if (candidate == options.scene && importer != &kColmap) continue;
             if (importer->understands(candidate)) return Candidate{candidate, importer};
         }
+        // What is called like a camera file and is damaged must not be passed over.
+        if (candidate.extension() == ".json" && fs::is_regular_file(candidate)) io::parse_json(candidate);
         if (candidate != options.scene) progress.note(candidate.string() + " is not a camera file that is understood: skipped");
     }
     if (options.allow_unposed) return std::nullopt;

@@ -540,7 +540,7 @@ TEST(Views, MistakesAreNamed) {
     has(message_with([](auto& j) { for (auto& f : j["frames"]) f.erase("fl_x"); }), "focal length");
     has(message_with([](auto& j) { j["frames"][3]["file_path"] = j["frames"][0]["file_path"]; }), "listed twice");
     write_text(w.folder / "transforms.json", "{ not json");
-    has(error_of(ExitCode::Input, [&] { load(w.folder.path()); }), "no cameras found");
+    has(error_of(ExitCode::Input, [&] { load(w.folder.path()); }), "transforms.json: is not JSON");
     has(error_of(ExitCode::Input, [&] { load(w.folder / "nowhere"); }), "no such folder");
     fs::remove(w.folder / "transforms.json");
     write_text(w.folder / "a_par.txt", "0\n");

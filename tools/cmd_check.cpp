@@ -40,7 +40,10 @@ Command add_check(CLI::App& program) {
                 std::cout << (common.json == "-" ? check_json(result) + "\n" : check_text(result));
                 if (!raw->write_cameras.empty()) {
                     if (!result.better) spdlog::warn("{} is not written: no other reading of the poses fits better", raw->write_cameras);
-                    else write_cameras(*result.better, raw->write_cameras);
+                    else {
+                        write_cameras(*result.better, raw->write_cameras);
+                        spdlog::info("{} holds the cameras in the reading that fits; --cameras {} goes on with them", raw->write_cameras, raw->write_cameras);
+                    }
                 }
                 return static_cast<int>(result.exit_code);
             }};
