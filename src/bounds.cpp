@@ -6,7 +6,7 @@
 #include <functional>
 
 #include "statistics.h"
-
+#include "text.h"
 #include "vdbcarve/carve.h"
 
 namespace vdbcarve {
@@ -105,7 +105,11 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
         const Box3d hull = box_of_hull(*coarse.hull, inputs, options);
         if (hull.isEmpty()) {
             options.allow_empty = false;
-            carve_in(box, 64);  // says why
+            try {
+                carve_in(box, 64);  // says why
+            } catch (const UsageError&) {  // of bounds that nobody gave
+                throw ContradictionError(text_of("the cameras do not look at one object: no place is in frame of as many views as --min-seen %.2f wants. Remedy: mend the cameras, or lower --min-seen", options.min_seen));
+            }
             throw ContradictionError("the silhouettes leave no hull");
         }
         const double margin = 1.5 * options.lattice.voxel_size;

@@ -12,7 +12,10 @@
 #include "coherence.h"
 #include "coherence_fit.h"
 #include "io_image.h"
+#include "orbit_model.h"
 #include "statistics.h"
+#include "text.h"
+#include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/render.h"
@@ -86,6 +89,27 @@ std::vector<Reading> readings_of(const std::vector<Camera>& cameras) {
     order("with each camera for the image after its own", [&](size_t i) { return (i + 1) % n; });
     order("with each camera for the image before its own", [&](size_t i) { return (i + n - 1) % n; });
     return out;
+}
+
+Vec3d mean_up(const std::vector<Camera>& cameras) {
+    Vec3d up = Vec3d::Zero();
+    for (const Camera& c : cameras) up -= c.camera_from_world.rotation.row(1).transpose();
+    return up.norm() < 0.1 * static_cast<double>(cameras.size()) ? Vec3d::Zero() : Vec3d(up.normalized());
+}
+
+std::string axis_near(const Vec3d& up_world) {
+    int axis = 0;
+    if (up_world.cwiseAbs().maxCoeff(&axis) <= std::cos(20 * kRadians)) return "";
+    return (up_world[axis] < 0 ? "-" : "") + std::string(1, "xyz"[axis]);
+}
+
+std::string doubt_of_up(const std::vector<Camera>& cameras, const std::string& said) {
+    const Vec3d up_world = mean_up(cameras);
+    if (said.empty() || up_world.isZero()) return "";
+    const double cosine = up_direction(said, cameras).dot(up_world);
+    if (cosine > std::cos(45 * kRadians)) return "";
+    const std::string guessed = axis_near(up_world);
+    return "up is said to be " + said + ", but the cameras stand upright " + (guessed.empty() ? text_of("%.0f degrees from it", std::acos(std::clamp(cosine, -1.0, 1.0)) / kRadians) : "along " + guessed) + ". Remedy: " + (guessed.empty() ? "--up, as it is meant" : "--up " + guessed);
 }
 
 void judge(std::vector<Reading>& readings, const std::vector<MaskView>& masks, Progress& progress) {

@@ -29,6 +29,15 @@ std::vector<Reading> readings_of(const std::vector<Camera>& cameras);
 /// Fills in the overlaps. Silhouettes are looked at in small: half a second for each reading of 36 views. Views without a mask do not count.
 void judge(std::vector<Reading>& readings, const std::vector<MaskView>& masks, Progress& progress);
 
+/// The mean of the images' up directions, unit length, world; zero where they cancel each other (cameras all around, or turned upside down by turns).
+Vec3d mean_up(const std::vector<Camera>& cameras);
+
+/// The world axis ("x", "-x" …) within 20 degrees of a direction; empty: none is.
+std::string axis_near(const Vec3d& up_world);
+
+/// A sentence with its remedy where the cameras stand upright along another direction than `said` (an axis; empty: it is not said), by more than 45 degrees; else empty.
+std::string doubt_of_up(const std::vector<Camera>& cameras, const std::string& said);
+
 /// What would make the silhouettes more coherent, were it added to all cameras.
 struct CommonError {
     double shift_x_px = 0, shift_y_px = 0;  ///< of the principal points; NaN where the views leave it open

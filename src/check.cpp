@@ -42,21 +42,11 @@ void find(CheckResult& out, Severity severity, const char* part, const std::stri
 constexpr double kFits = 0.9;   ///< median IoU of the hull with its own silhouettes, where cameras and masks belong together
 constexpr double kGood = 0.96;  ///< below it other readings of the cameras are tried all the same: half the focal length leaves 0.92
 
-/// The world axis that the cameras stand along, and whether the file says another.
+/// Which way is up, where the file does not say it, or says another.
 void guess_up(const Views& views, CheckResult& out) {
-    int axis = 0;
-    const double largest = out.up_world.cwiseAbs().maxCoeff(&axis);
-    if (largest > std::cos(20 / kDegrees)) out.up_guessed = (out.up_world[axis] < 0 ? "-" : "") + std::string(1, "xyz"[axis]);
-    if (views.up.empty()) {
-        if (!out.up_guessed.empty()) find(out, Severity::Note, "cameras", "the file does not say which way is up; the cameras stand upright along " + out.up_guessed + ". Remedy: --up " + out.up_guessed);
-        return;
-    }
-    Vec3d said = Vec3d::Zero();
-    said[views.up.back() - 'x'] = views.up.size() > 1 ? -1 : 1;
-    const double angle = std::acos(std::clamp(said.dot(out.up_world), -1.0, 1.0)) * kDegrees;
-    if (angle > 45)
-        find(out, Severity::Warning, "cameras", "up is said to be " + views.up + ", but the cameras stand upright " + (out.up_guessed.empty() ? fixed(angle, 0) + " degrees from it" : "along " + out.up_guessed) + ". Remedy: " +
-                                                    (out.up_guessed.empty() ? "--up, as it is meant" : "--up " + out.up_guessed));
+    out.up_guessed = axis_near(out.up_world);
+    if (views.up.empty() && !out.up_guessed.empty()) find(out, Severity::Note, "cameras", "the file does not say which way is up; the cameras stand upright along " + out.up_guessed + ". Remedy: --up " + out.up_guessed);
+    if (const std::string doubted = doubt_of_up(views.cameras(), views.up); !doubted.empty()) find(out, Severity::Warning, "cameras", doubted);
 }
 
 void check_cameras(const Views& views, CheckResult& out) {
@@ -69,13 +59,11 @@ void check_cameras(const Views& views, CheckResult& out) {
     if (!target) throw UndeterminedError("all cameras look along the same line, so how deep the object is cannot be told. Remedy: views from other directions");
     out.look_at_world = *target;
     std::vector<double> distance, miss;
-    Vec3d up = Vec3d::Zero();
     std::vector<std::string> away;
     for (size_t i = 0; i < cameras.size(); ++i) {
         const Vec3d to = *target - cameras[i].centre_world();
         distance.push_back(to.norm());
         miss.push_back(to.cross(cameras[i].forward_world()).norm());
-        up -= cameras[i].camera_from_world.rotation.row(1).transpose();
         if (to.dot(cameras[i].forward_world()) <= 0) away.push_back(views.views[i].name);
     }
     out.distance_median = median(distance);
@@ -88,11 +76,11 @@ void check_cameras(const Views& views, CheckResult& out) {
              std::to_string(away.size()) + " of " + std::to_string(cameras.size()) + " cameras look away from where the others look (" + some_of(away) + ")" +
                  (most ? ": the camera file's axes are probably another program's. Remedy: look at which way round the poses are and which axes they have; check with masks tries other readings" : ". Remedy: look at their poses"));
     }
-    if (up.norm() < 0.1 * static_cast<double>(cameras.size())) {
+    out.up_world = mean_up(cameras);
+    if (out.up_world.isZero()) {
         find(out, Severity::Warning, "cameras", "the images' up directions cancel each other: cameras all around, or turned upside down by turns; azimuths are not judged");
         return;
     }
-    out.up_world = up.normalized();
     std::vector<double> azimuths = azimuths_rad(cameras, *target, out.up_world);
     for (double& a : azimuths) a *= kDegrees;
     out.elevation_min_deg = 90;
@@ -117,8 +105,8 @@ void check_cameras(const Views& views, CheckResult& out) {
     guess_up(views, out);
 }
 
-/// The hull of masks that do not fit their cameras: what else the file may mean.
-void try_readings(const Views& views, const std::vector<MaskView>& seen, const std::string& what, Severity severity, CheckResult& out, Progress& progress) {
+/// The hull of masks that do not fit their cameras: what else the file may mean. False where no other reading fits.
+bool try_readings(const Views& views, const std::vector<MaskView>& seen, const std::string& what, Severity severity, CheckResult& out, Progress& progress) {
     std::vector<Reading> readings = readings_of(views.cameras());
     judge(readings, seen, progress);
     const Reading& own = readings.front();
@@ -126,10 +114,7 @@ void try_readings(const Views& views, const std::vector<MaskView>& seen, const s
     for (const Reading& r : readings)
         if (r.overlap > best->overlap) best = &r;
     constexpr double kBetter = 0.03;
-    if (best->overlap < kFits || best->overlap < own.overlap + kBetter) {
-        if (severity == Severity::Error) find(out, Severity::Error, "cameras", what + "; no other reading of the poses fits either. Remedy: check poses, focal length and which mask belongs to which view; --method refine where cameras are nearly right, --cameras none to find them");
-        return;
-    }
+    if (best->overlap < kFits || best->overlap < own.overlap + kBetter) return false;
     std::string words;
     for (const Reading& r : readings)
         if (r.overlap > best->overlap - 0.005 && r.overlap > own.overlap + kBetter) words += (words.empty() ? "" : ", or ") + r.words;
@@ -137,14 +122,78 @@ void try_readings(const Views& views, const std::vector<MaskView>& seen, const s
     find(out, severity, "cameras",
          what + "; they fit " + words + " (median IoU " + fixed(best->overlap, 3) + " instead of " + fixed(own.overlap, 3) + "). Remedy: " +
              (of_cameras ? "--write-cameras FILE writes them so, for --cameras FILE" : best->mirrored ? "mirror the images back, or, where their order may be wrong, put that right" : "give each image the name that the camera file has for it"));
-    if (!of_cameras) return;
+    if (!of_cameras) return true;
     out.better = views;
     out.better->sittings = {Sitting{}};
     for (size_t i = 0; i < views.views.size(); ++i) {
         out.better->views[i].camera = best->cameras[i];
         out.better->views[i].sitting = "0";
     }
+    return true;
 }
+
+/// The hull of silhouettes, and how it agrees with each of them.
+struct Hull {
+    Mesh mesh;
+    std::vector<SilhouetteAgreement> agreements;  ///< by view
+    double median_iou = 0;                        ///< of the views that have a mask
+};
+
+/// Nothing where they leave no hull; `died` says why.
+std::optional<Hull> hull_of(const Views& views, const std::vector<MaskView>& seen, const CheckOptions& options, std::string& died, Progress& progress) {
+    const std::vector<Camera> cameras = views.cameras();
+    Hull out;
+    try {
+        out.mesh = extract_mesh(*coarse_hull(views.names(), cameras, seen, options.resolution, options.min_seen, progress), {}, progress);
+    } catch (const Interrupted&) {
+        throw;
+    } catch (const Error& e) {
+        died = e.what();
+        died = died.substr(0, died.find(". Remedy"));
+        return std::nullopt;
+    }
+    out.agreements.resize(seen.size());
+    tbb::parallel_for(size_t{0}, seen.size(), [&](size_t i) {
+        if (!seen[i].coverage.empty()) out.agreements[i] = compare_silhouettes(silhouette_of(out.mesh, cameras[i]), seen[i]);
+    });
+    std::vector<double> ious;
+    for (size_t i = 0; i < seen.size(); ++i)
+        if (!seen[i].coverage.empty()) ious.push_back(out.agreements[i].iou);
+    out.median_iou = median(ious);
+    return out;
+}
+
+double overlap_of(ImageView<uint8_t> a, ImageView<uint8_t> b) {
+    if (a.width != b.width || a.height != b.height) return 0;
+    size_t both = 0, either = 0;
+    for (int y = 0; y < a.height; ++y)
+        for (int x = 0; x < a.width; ++x) {
+            const bool in_a = a.at(x, y) >= 128, in_b = b.at(x, y) >= 128;
+            both += in_a && in_b, either += in_a || in_b;
+        }
+    return either ? static_cast<double>(both) / static_cast<double>(either) : 0.0;
+}
+
+/// Views that contradict all others: by name, and with the view whose mask would fit in the place of their own.
+void blame(const std::vector<size_t>& broken, const std::optional<Hull>& rest, const Views& views, const std::vector<MaskView>& seen, const std::string& more, Severity severity, CheckResult& out) {
+    std::vector<std::string> names;
+    bool other_fits = false;
+    for (const size_t i : broken) {
+        names.push_back(views.views[i].name);
+        if (!rest) continue;
+        const Image8 silhouette = silhouette_of(rest->mesh, views.cameras()[i]);
+        std::vector<double> overlap(seen.size());
+        tbb::parallel_for(size_t{0}, seen.size(), [&](size_t j) { overlap[j] = overlap_of(silhouette.view(), seen[j].coverage); });
+        const size_t best = static_cast<size_t>(std::max_element(overlap.begin(), overlap.end()) - overlap.begin());
+        if (best == i || overlap[best] < 0.85 || overlap[best] < overlap[i] + 0.03) continue;
+        names.back() += " (whose camera the mask of " + views.views[best].name + " fits)";
+        other_fits = true;
+    }
+    find(out, severity, "masks", counted(broken.size(), "mask") + " against all others: " + some_of(names) + more + ". Remedy: " + (other_fits ? "give each image and mask the name that the camera file has for it; else " : "") +
+                                     "mend or delete what is wrong, or reconstruct --repair-masks; where a mask is right, its view's camera is wrong (moved, or another view's)");
+}
+
+constexpr double kFarOff_focal = 0.1;  ///< a hull made with such a focal length is not the object's any more
 
 /// Half a pixel everywhere, or a wrong focal length, leaves a hull that looks good and is a little too small.
 void check_common_error(const Views& views, const std::vector<MaskView>& seen, CheckResult& out, Progress& progress) {
@@ -164,10 +213,10 @@ void check_common_error(const Views& views, const std::vector<MaskView>& seen, C
         const bool half = std::fabs(std::fabs(d) - 0.5) < 0.15 && (!(off(0) && off(1)) || std::fabs(out.shift_px[0] - out.shift_px[1]) < 0.2);
         const auto said = [&](int a) { return open[a] ? std::string("?") : fixed(out.shift_px[a]); };
         find(out, Severity::Warning, "cameras", "silhouettes fit better with all principal points moved by (" + said(0) + ", " + said(1) + ") px" + better + (half ? ": half a pixel, as where the first pixel's centre is counted otherwise" : "") + ". Remedy: " +
-                                                    (half ? std::string("--pixel-centre ") + (d > 0 ? "integer" : "corner") : "--method refine"));
+                                                    (half ? std::string("--pixel-centre ") + (d > 0 ? "integer" : "corner") : "`vdbcarve align SCENE --method refine`"));
     }
     if (std::isfinite(out.focal_factor) && std::fabs(out.focal_factor - 1) > std::max(0.01, 4 * e->sd[2]))
-        find(out, Severity::Warning, "cameras", "silhouettes fit better with all focal lengths times " + fixed(out.focal_factor, 3) + better + ". Remedy: --method refine; were images scaled or cropped after calibration?");
+        find(out, std::fabs(out.focal_factor - 1) > kFarOff_focal ? Severity::Error : Severity::Warning, "cameras", "silhouettes fit better with all focal lengths times " + fixed(out.focal_factor, 3) + better + ": were images scaled or cropped after calibration? Remedy: cameras for these images, or `vdbcarve align SCENE --method refine`");
 }
 
 void check_size(const Views& views, const Mesh& mesh, CheckResult& out) {
@@ -193,52 +242,50 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
         return;
     }
     const std::vector<Camera> all = views.cameras();
-    std::vector<std::string> view_names, used_names;
-    std::vector<MaskView> seen, used;
-    std::vector<Camera> cameras;
+    std::vector<MaskView> seen;
     std::vector<std::string> hard;
+    size_t used = 0;
     for (size_t i = 0; i < views.views.size(); ++i) {
-        view_names.push_back(views.views[i].name);
         seen.push_back(views.views[i].unused.empty() ? view_of(masks.masks[i]) : MaskView());  // as reconstruct does
         if (seen.back().coverage.empty()) continue;
-        used_names.push_back(view_names.back());
-        cameras.push_back(all[i]);
-        used.push_back(seen.back());
-        if (contour_softness(masks.masks[i].coverage) < 0.5) hard.push_back(view_names.back());
+        ++used;
+        if (contour_softness(masks.masks[i].coverage) < 0.5) hard.push_back(views.views[i].name);
     }
-    if (used.empty()) return;
-    out.soft_share = 1 - static_cast<double>(hard.size()) / static_cast<double>(used.size());
+    if (used == 0) return;
+    out.looked_at.push_back("masks");
+    out.soft_share = 1 - static_cast<double>(hard.size()) / static_cast<double>(used);
     if (!hard.empty())
-        find(out, Severity::Note, "masks", (hard.size() == used.size() ? std::string("all masks are") : counted(hard.size(), "mask") + " of " + std::to_string(used.size()) + (hard.size() == 1 ? " is" : " are")) +
+        find(out, Severity::Note, "masks", (hard.size() == used ? std::string("all masks are") : counted(hard.size(), "mask") + " of " + std::to_string(used) + (hard.size() == 1 ? " is" : " are")) +
                                                " hard, black and white: contours are known to half a pixel, and surfaces are filtered. Remedy: masks with grey edges, where they can be had");
     if (!views.posed) return;
-    Mesh mesh;
     std::string died;
-    try {
-        mesh = extract_mesh(*coarse_hull(view_names, all, seen, options.resolution, options.min_seen, progress), {}, progress);
-    } catch (const Interrupted&) {
-        throw;
-    } catch (const Error& e) {
-        died = e.what();
+    const std::optional<Hull> hull = hull_of(views, seen, options, died, progress);
+    if (hull) {
+        check_size(views, hull->mesh, out);
+        for (size_t i = 0; i < seen.size(); ++i)
+            if (!seen[i].coverage.empty()) out.agreements.push_back({views.views[i].name, hull->agreements[i]});
+        std::stable_sort(out.agreements.begin(), out.agreements.end(), [](const ViewCheck& a, const ViewCheck& b) { return a.agreement.iou < b.agreement.iou; });
+        out.median_iou = hull->median_iou;
     }
-    if (!died.empty()) {
-        try_readings(views, seen, died.substr(0, died.find(". Remedy")), Severity::Error, out, progress);
+    const bool fits = out.median_iou >= kFits;
+    const Severity severity = fits ? Severity::Warning : Severity::Error;
+    const std::string what = hull ? "the hull of all views covers its own silhouettes poorly (median IoU " + fixed(out.median_iou, 3) + "): cameras and masks do not fit together" : died;
+    if (out.median_iou < kGood && try_readings(views, seen, what, severity, out, progress)) return;
+    const std::vector<size_t> broken = find_broken_masks(views.names(), all, seen, progress);
+    if (!broken.empty()) {
+        // A few that are wrong may ruin everything.
+        std::vector<MaskView> others = seen;
+        for (const size_t i : broken) others[i] = {};
+        std::string why;
+        const std::optional<Hull> rest = hull_of(views, others, options, why, progress);
+        const bool theirs = rest && rest->median_iou >= kFits;
+        blame(broken, rest, views, seen, fits ? "" : theirs ? "; without " + std::string(broken.size() == 1 ? "it" : "them") + " the others fit (median IoU " + fixed(rest->median_iou, 3) + ")" : "", !fits && theirs ? Severity::Error : Severity::Warning, out);
+        if (!fits && theirs) return;
+    }
+    if (!fits) {
+        find(out, Severity::Error, "cameras", what + "; no other reading of the poses fits either. Remedy: check poses, focal length and which mask belongs to which view; `vdbcarve align SCENE --method refine` where cameras are nearly right, --cameras none to find them");
         return;
     }
-    check_size(views, mesh, out);
-    out.agreements.resize(used.size());
-    tbb::parallel_for(size_t{0}, used.size(), [&](size_t i) { out.agreements[i] = {used_names[i], compare_silhouettes(silhouette_of(mesh, cameras[i]), used[i])}; });
-    std::vector<double> ious;
-    for (const ViewCheck& v : out.agreements) ious.push_back(v.agreement.iou);
-    out.median_iou = median(ious);
-    std::stable_sort(out.agreements.begin(), out.agreements.end(), [](const ViewCheck& a, const ViewCheck& b) { return a.agreement.iou < b.agreement.iou; });
-    if (out.median_iou < kGood)
-        try_readings(views, seen, "the hull of all views covers its own silhouettes poorly (median IoU " + fixed(out.median_iou, 3) + "): cameras and masks do not fit together", out.median_iou < kFits ? Severity::Error : Severity::Warning, out, progress);
-    if (out.better) return;
-    std::vector<std::string> broken;
-    for (const size_t i : find_broken_masks(view_names, all, seen, progress)) broken.push_back(view_names[i]);
-    if (!broken.empty()) find(out, Severity::Warning, "masks", counted(broken.size(), "mask") + " against all others: " + some_of(broken) + ". Remedy: mend or delete what is wrong, or --repair-masks");
-    if (out.median_iou < kFits) return;
     std::vector<std::string> weak;
     for (const ViewCheck& v : out.agreements)
         if (v.agreement.iou < std::min(0.95, out.median_iou - 0.02)) weak.push_back(v.name + " (IoU " + fixed(v.agreement.iou, 3) + ")");
@@ -346,10 +393,15 @@ CheckResult check(const CheckOptions& options, Progress& progress) {
     out.units_said = views.units;
     if (!views.posed) find(out, Severity::Note, "cameras", "there are no cameras yet. Remedy: vdbcarve align, or reconstruct, which finds them");
     if (options.images) check_images(views, out, progress);
+    if (out.images_read) out.looked_at.push_back("images");
     const bool readable = std::none_of(out.findings.begin(), out.findings.end(), [](const Finding& f) { return f.severity == Severity::Error && f.code == ExitCode::Input; });
     if (options.masks && readable) check_masks(options, views, out, progress);
     // Of poses that are to be read in another way, what they are then.
-    if (options.cameras && views.posed) check_cameras(out.better ? *out.better : views, out);
+    if (options.cameras && views.posed) {
+        check_cameras(out.better ? *out.better : views, out);
+        out.looked_at.push_back("cameras");
+    }
+    if (!out.agreements.empty()) out.looked_at.push_back("how they fit together");
     for (const std::string& w : progress.warnings()) find(out, Severity::Warning, "masks", w);
     for (const std::string& w : views.unverified) find(out, Severity::Error, "cameras", "UNVERIFIED cameras: " + w, ExitCode::Undetermined);
     std::vector<std::string> unused;
@@ -392,6 +444,7 @@ std::string check_json(const CheckResult& r) {
                              {"median_iou", r.median_iou},
                              {"soft_masks", r.soft_share},
                              {"images_read", r.images_read},
+                             {"looked_at", r.looked_at},
                              {"agreement", nlohmann::json::array()},
                              {"findings", nlohmann::json::array()},
                              {"errors", r.of(Severity::Error)},
@@ -436,7 +489,11 @@ std::string check_text(const CheckResult& r) {
         out += std::string(f.severity == Severity::Error ? (f.code == ExitCode::Contradiction ? "CONTRADICTION" : f.code == ExitCode::Undetermined ? "UNDETERMINED" : "ERROR") : name_of(f.severity)) + ": " + f.text + "\n";
         if (!f.remedy.empty()) out += "  remedy: " + f.remedy + "\n";
     }
-    if (!wrong) out += "nothing wrong was found\n";
+    if (!wrong) {
+        out += "nothing wrong was found; looked at:";
+        for (size_t i = 0; i < r.looked_at.size(); ++i) out += (i ? ", " : " ") + r.looked_at[i];
+        out += "\n";
+    }
     return out;
 }
 

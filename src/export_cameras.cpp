@@ -179,7 +179,13 @@ void write_transforms(const Views& views, const std::vector<std::string>& names,
 
 }  // namespace
 
-void export_cameras(const Views& views, const fs::path& target, const CameraExportOptions& options, Progress& progress) {
+void export_cameras(const Views& all, const fs::path& target, const CameraExportOptions& options, Progress& progress) {
+    Views views = all;
+    std::vector<std::string> unused;
+    for (const View& v : all.views)
+        if (!v.unused.empty()) unused.push_back(v.name + " (" + v.unused + ")");
+    std::erase_if(views.views, [](const View& v) { return !v.unused.empty(); });
+    if (!unused.empty()) progress.warn(counted(unused.size(), "view") + " left out, as the camera file says not to use: " + some_of(unused));
     check(views, options, progress);
     const std::vector<std::string> names = names_for(views, options.undistort);
     const bool transforms = target.extension() == ".json";

@@ -173,7 +173,7 @@ std::string unknown_frame(const std::string& extension, const FrameRequest& requ
     const bool glb = extension == ".glb", dcc = request.dcc != Dcc::None;
     if (!metres_per(request.units) && (glb || dcc))
         out = (request.units.empty() ? std::string("the unit of length is unknown") : "the unit '" + request.units + "' has no length") + ": numbers stay as they are" +
-              (glb ? ", and readers of .glb take 1 unit for 1 m" : "") + ". Remedy: --units";
+              (glb ? ", and readers of .glb take 1 unit for 1 m" : "") + ". Remedy: --units, where it is known (of cameras found from silhouettes: with --known-height, --known-distance or --known-length)";
     if (request.up.empty() && (glb || extension == ".obj" || dcc)) out += std::string(out.empty() ? "" : "; ") + "the up axis is unknown: nothing is turned, and readers of .obj and .glb take y for up. Remedy: --up";
     return out;
 }

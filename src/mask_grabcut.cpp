@@ -13,6 +13,8 @@ namespace vdbcarve {
 Image8 seed_of_box(int width, int height, const std::optional<std::array<int, 4>>& box_px) {
     const int margin = std::max(2, std::min(width, height) / 20);
     const std::array<int, 4> box = box_px.value_or(std::array<int, 4>{margin, margin, width - margin, height - margin});
+    if (box[0] < 0 || box[1] < 0 || box[2] > width || box[3] > height)
+        throw InputError(text_of("--grabcut-box %d,%d,%d,%d reaches outside the photograph, which has %d x %d pixels", box[0], box[1], box[2], box[3], width, height));
     Image8 out(width, height);
     for (int y = std::max(0, box[1]); y < std::min(height, box[3]); ++y)
         for (int x = std::max(0, box[0]); x < std::min(width, box[2]); ++x) out.at(x, y) = 128;

@@ -15,6 +15,7 @@
 #include "align_options.h"
 #include "align_scale.h"
 #include "atomic_file.h"
+#include "camera_doubts.h"
 #include "carve_plan.h"
 #include "coarse_hull.h"
 #include "floor.h"
@@ -123,13 +124,17 @@ class Job {
         if (o_.mask.repair && !o_.dry_run) stage("repair", [&] { return repair(); });
         plan_key();
         const bool have_hull = hull_is_there();
-        stage("distance", [&] {
-            if (have_hull && !o_.dry_run) return true;  // the hull made from them is there
-            distances();
-            return false;
-        });
-        if (o_.dry_run) return finish();
-        stage("carve", [&] { return carve_hull(); });
+        try {
+            stage("distance", [&] {
+                if (have_hull && !o_.dry_run) return true;  // the hull made from them is there
+                distances();
+                return false;
+            });
+            if (o_.dry_run) return finish();
+            stage("carve", [&] { return carve_hull(); });
+        } catch (const ContradictionError& e) {
+            throw ContradictionError(std::string(e.what()) + "; " + ask_check());
+        }
         if (o_.last_stage == LastStage::Carve) {
             place_hull();
             return finish();
@@ -164,6 +169,12 @@ class Job {
         }
     }
 
+    /// Where cameras and masks contradict each other.
+    std::string ask_check() const {
+        const std::string scene = o_.views.scene.string() + (o_.views.cameras.empty() ? "" : " --cameras " + o_.views.cameras.string());
+        return "`vdbcarve check " + scene + "`, with the options for masks given here, says what fits" + (aligned_ ? "" : ", tries other readings of the poses and writes the one that fits (--write-cameras FILE)");
+    }
+
     /// Warnings since there were so many, to be kept in a stage's note; and said again when the stage is found done.
     std::vector<std::string> warnings_since(size_t before) const {
         std::vector<std::string> all = progress_.warnings();
@@ -183,6 +194,7 @@ class Job {
         };
         need(o_.floor_from != FloorFrom::Found || o_.align.method != AlignMethod::Mat, "--floor auto: the mat says where the floor is");
         need(std::isfinite(o_.floor), "--floor is not finite");
+        need(is_video(o_.views.scene) || o_.video == VideoOptions(), "--video-frames and --video-range are of films; " + o_.views.scene.string() + " is none");
         need(o_.views.units.empty() || metres_per(o_.views.units), "--units " + o_.views.units + ": is none of m, cm, mm, km, inch, ft");
         const MaskOptions& m = o_.mask;
         const bool by_threshold = m.method == MaskMethod::Threshold || (m.method == MaskMethod::GrabCut && m.grabcut.from_threshold);
@@ -243,6 +255,7 @@ class Job {
         const fs::path file = o_.views.scene;
         if (o_.dry_run) throw UsageError("--dry-run: " + file.string() + " is a film, of which frames are to be taken first. Remedy: vdbcarve mask, then its folder in OUT/stages as the scene");
         if (!o_.views.images.empty()) throw UsageError("--images: " + file.string() + " is a film, its frames are the photographs. Remedy: without it");
+        const bool fresh = !made_by_us(o_.output);
         open_output();
         Sha256 h;
         h.add("frames").add_value(kCodeVersion).add(sha256_of_file(file)).add_value(o_.video.frames).add_value(o_.video.from_s).add_value(o_.video.to_s);
@@ -254,7 +267,18 @@ class Job {
         }
         if (!reused) {
             const fs::path part = o_.output / "stages" / ".frames.part";
-            film_ = extract_frames(file, part, o_.video, progress_);
+            try {
+                film_ = extract_frames(file, part, o_.video, progress_);
+            } catch (const InputError&) {  // nothing was made: what was opened for it goes
+                fs::remove_all(part);
+                if (fresh) {
+                    fs::remove(o_.output / "config.toml");
+                    fs::remove_all(o_.output / "stages");
+                    std::error_code others_are_in_it;
+                    fs::remove(o_.output, others_are_in_it);
+                }
+                throw;
+            }
             fs::remove_all(folder);
             fs::rename(part, folder);
         }
@@ -274,6 +298,8 @@ class Job {
         const double first = film_.frames.front().time_s, steps = static_cast<double>(film_.frames.size());
         const double span = (film_.frames.back().time_s - first) * steps / (steps - 1);
         for (const VideoFrame& f : film_.frames) a.angles_deg.push_back(a.arc_deg * (f.time_s - first) / span);
+        if (o_.video != VideoOptions() && a.arc_deg == AlignOptions().arc_deg && (o_.video.from_s > 0 || o_.video.to_s > 0))
+            progress_.note("what --video-range leaves of the film is taken for one whole turn; --arc says how many degrees it is, where it is not");
         a.arc_deg = AlignOptions().arc_deg;  // the angles say it
     }
 
@@ -311,6 +337,8 @@ class Job {
             progress_.note("of " + views_.camera_file.string() + " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
         if (o_.floor_from != FloorFrom::File && o_.last_stage != LastStage::Mask && up().empty() && !finds_cameras()) throw UsageError("--floor: the scene does not say which way is up. Remedy: --up");
         if (o_.floor_from == FloorFrom::Found && o_.dry_run) throw UsageError("--dry-run: the floor is to be found first. Remedy: --floor HEIGHT");
+        if (views_.posed && !finds_cameras() && o_.last_stage != LastStage::Mask)
+            if (const std::string doubted = doubt_of_up(views_.cameras(), up()); !doubted.empty()) progress_.warn(doubted);
         if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
         if (o_.stl_mm && !mat) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(counted(views_.views.size(), "view") + " from " + views_.camera_file.string() + " (" + views_.format + ")");
@@ -1601,7 +1629,8 @@ class Job {
         report_["mesh_step"]["dropped_volume_share"] = dropped.volume_share;
         if (dropped.pieces) {
             char text[200];
-            std::snprintf(text, sizeof text, "%zu small pieces of the mesh are left out, %.3g %% of the volume; %zu are kept (--min-piece 0 keeps all)", dropped.pieces, 100 * dropped.volume_share, dropped.kept);
+            std::snprintf(text, sizeof text, "%s of the mesh left out, %s of the volume; %s kept (--min-piece 0 keeps all)", counted(dropped.pieces, "small piece").c_str(),
+                          dropped.volume_share < 1e-5 ? "less than 0.001 %" : text_of("%.3g %%", 100 * dropped.volume_share).c_str(), counted(dropped.kept, "piece").c_str());
             progress_.note(text);
         }
         color_mesh();
@@ -1721,7 +1750,7 @@ class Job {
             if (const std::string unknown = unknown_frame("." + format, frame_request()); !unknown.empty() && said.insert(unknown).second) progress_.warn("mesh." + format + ": " + unknown);
         if (o_.dcc != Dcc::None && said.empty())
             if (const std::string unknown = unknown_frame(".vdb", frame_request()); !unknown.empty()) progress_.warn("volume.vdb: " + unknown);
-        if (views_.units.empty() && said.empty()) progress_.note("the unit of length is unknown: files carry the scene's own units");
+        if (views_.units.empty() && said.empty()) progress_.note(std::string("the unit of length is unknown: files carry the scene's own units") + (aligned_ ? ". Remedy: --known-height, --known-distance or --known-length with --units" : ""));
     }
 
     void export_all() {
@@ -1778,11 +1807,12 @@ class Job {
                                         {"mask", masks_.origins[i]}});
             if (!used) continue;
             ious.push_back(a[i].iou);
-            if (a[i].iou < 0.9 && weak_count++ < 5) weak += (weak.empty() ? "" : ", ") + views_.views[i].name + " (" + std::to_string(a[i].iou).substr(0, 5) + ")";
+            if (a[i].iou < kFits_iou && weak_count++ < 5) weak += (weak.empty() ? "" : ", ") + views_.views[i].name + " (" + std::to_string(a[i].iou).substr(0, 5) + ")";
         }
         if (weak_count)
             progress_.warn(std::to_string(weak_count) + " views agree with the result by less than 0.9 (silhouette IoU): " + weak +
                            (weak_count > 5 ? " …" : "") + (report_.contains("floor") ? ": shadows and reflections that masks took for the object count as missed below --floor; else look at their masks and cameras" : ": look at their masks and cameras"));
+        if (o_.floor_from == FloorFrom::Given) warn_of_high_floor(a);
         for (json& view : report_["views"])
             if (const auto found = color_views_.find(view["name"].get<std::string>()); found != color_views_.end()) view.update(*found);
         for (const std::string& name : views_.left_out)
@@ -1791,7 +1821,25 @@ class Job {
         median_iou_ = median(ious);
         agreement_ = std::move(a);
         report_["silhouette_iou"] = {{"median", median_iou_}, {"minimum", minimum_iou_}};
+        if (median_iou_ < kFits_iou && !report_.contains("floor"))
+            contradiction_ = text_of("most views contradict the result: %zu of %zu agree with it by less than %.1f (silhouette IoU, median %.3f). It was written, but cameras and masks do not fit together; ", weak_count, ious.size(), kFits_iou, median_iou_) + ask_check();
     }
+
+    /// A height that was typed wrongly takes a leg off.
+    void warn_of_high_floor(const std::vector<SilhouetteAgreement>& agreement) {
+        std::vector<double> left_out;
+        for (const size_t i : used_) {
+            const SilhouetteAgreement& a = agreement[i];
+            const double missed = static_cast<double>(a.missed_px), wrong = missed + static_cast<double>(a.extra_px);
+            const double both = a.iou < 1 ? wrong * a.iou / (1 - a.iou) : 1;
+            left_out.push_back(both + missed > 0 ? missed / (both + missed) : 0);
+        }
+        const double share = median(left_out);
+        if (share > 0.05)
+            progress_.warn(text_of("--floor %g leaves out %.0f %% of what the masks show (median of the views): a reflection or shadow, or a part of the object? Remedy: look at the cut in preview.png; --floor auto finds a table that has a pattern", o_.floor, 100 * share));
+    }
+
+    static constexpr double kFits_iou = 0.9;  ///< median, where cameras and masks belong together
 
     /// The photograph without its lens's distortion, or nothing.
     Image8 photo_to_show(const View& v) {
@@ -1858,6 +1906,7 @@ class Job {
         out.mesh = measures_;
         out.median_iou = median_iou_;
         out.minimum_iou = minimum_iou_;
+        out.contradiction = contradiction_;
         if (!o_.dry_run) {
             write_config();
             write_file(place_ / "report.json", out.report_json);
@@ -1910,6 +1959,7 @@ class Job {
     bool surface_on_device_ = false;
     std::string mask_key_, hull_key_, surface_key_, color_key_, filtered_key_, mesh_key_;
     double median_iou_ = 0, minimum_iou_ = 0;
+    std::string contradiction_;
     std::vector<SilhouetteAgreement> agreement_;  ///< of views_
 };
 

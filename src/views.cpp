@@ -269,8 +269,8 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
 Views load_views(const ViewsOptions& options, Progress& progress) {
     if (!fs::is_directory(options.scene)) {
         if (fs::is_regular_file(options.scene))
-            throw InputError(options.scene.string() + ": is a file; a scene is a folder with photographs, or (reconstruct, align, mask, carve) a film such as .mp4");
-        throw InputError(options.scene.string() + ": no such folder");
+            throw InputError(options.scene.string() + ": is a file; a scene is a folder with photographs, or (reconstruct, align, mask, carve) a film such as .mp4, whose frames `vdbcarve mask` puts into a folder in OUT/stages that is a scene");
+        throw InputError(options.scene.string() + ": there is no such folder or film");
     }
     const std::optional<Candidate> candidate = find_camera_file(options, progress);
     if (!candidate) return unposed_views(options, progress);

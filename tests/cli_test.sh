@@ -219,6 +219,11 @@ expect 0 'closed manifold' mesh out1 --mesher marching-cubes --min-piece 0.2 --q
 expect 0 'closed manifold' color out1 --color best
 expect 0 'reconstruct' filter --help
 expect 3 'config.toml: is not there' filter scene
+expect 2 'Is --resolution meant' reconstruct scene -o bad --resolutoin 64
+expect 2 'only one can count' reconstruct scene -o bad --mask threshold --clean-plate scene/images/0000.png
+expect 2 'are of films' reconstruct scene -o bad --video-frames 30
+expect 2 'R,G,B within' mask scene -o bad --mask chroma --chroma-key green
+expect 3 'no such folder or film' reconstruct film.mp4 -o bad
 expect 2 "'blur' is no filter" reconstruct scene -o bad --filter blur
 expect 2 '1..2 voxels' reconstruct scene -o bad --filter median:7
 expect 2 'keep-thin' reconstruct scene -o bad --resolution 40 --keep-thin -1

@@ -237,6 +237,32 @@ TEST(SceneCheck, PhotographsWithoutCameras) {
     expect_finding(r, ExitCode::Done, "no cameras yet", "vdbcarve align");
 }
 
+TEST(SceneCheck, ExchangedCamerasAreNamedWithTheMaskThatFits) {
+    Scene s;
+    std::swap(s.scene.views.views[2].camera, s.scene.views.views[7].camera);
+    const CheckResult r = s.result();
+    const std::string two = s.scene.views.views[2].name, seven = s.scene.views.views[7].name;
+    expect_finding(r, ExitCode::Contradiction, two + " (whose camera the mask of " + seven + " fits)", "the name that the camera file has");
+}
+
+TEST(SceneCheck, OneCameraThatMovedIsNamed) {
+    Scene s;
+    s.scene.views.views[3].camera.camera_from_world.translation.x() += 0.3;
+    expect_finding(s.result(), ExitCode::Contradiction, "1 mask against all others: " + s.scene.views.views[3].name, "its view's camera is wrong");
+}
+
+TEST(SceneCheck, AFocalLengthFarOff) {
+    Scene s;
+    s.each([](Camera& c) { c.intrinsics.fx *= 1.2, c.intrinsics.fy *= 1.2; });
+    expect_finding(s.result(), ExitCode::Contradiction, "focal lengths times 0.8", "--method refine");
+}
+
+TEST(SceneCheck, SaysWhatWasLookedAt) {
+    Scene s;
+    EXPECT_EQ(s.result().looked_at, (std::vector<std::string>{"images", "masks", "cameras", "how they fit together"}));
+    EXPECT_EQ(s.again([](CheckOptions& o) { o.masks = o.images = false; }).looked_at, std::vector<std::string>{"cameras"});
+}
+
 TEST(SceneCheck, JsonHoldsFindings) {
     Scene s;
     const std::string text = check_json(s.result([](CheckOptions& o) { o.views.up = std::string("y"); }));

@@ -36,6 +36,7 @@ Command add_check(CLI::App& program) {
                 options.cameras = raw->only.empty() || raw->only == "cameras";
                 options.masks = raw->only.empty() || raw->only == "masks";
                 options.images = raw->only.empty() || raw->only == "images";
+                progress.on_warning = nullptr;  // the findings have them
                 const CheckResult result = check(options, progress);
                 std::cout << (common.json == "-" ? check_json(result) + "\n" : check_text(result));
                 if (!raw->write_cameras.empty()) {

@@ -111,6 +111,7 @@ void read_raw(Raw& raw) {
     }
     if (raw.pass_band > 0) o.smooth.mu = mu_for(o.smooth.lambda, raw.pass_band);
     if (!raw.video_range.empty()) {
+        if (std::count(raw.video_range.begin(), raw.video_range.end(), ',') != 1) throw UsageError("--video-range " + raw.video_range + ": FROM,TO in seconds is expected, like 2,14.5");
         const auto r = numbers("--video-range", raw.video_range, 2);
         if (!(r[0] >= 0 && r[1] > r[0])) throw UsageError("--video-range " + raw.video_range + ": FROM,TO in seconds is expected, the second more than the first");
         o.video.from_s = r[0];
@@ -141,6 +142,16 @@ void add_dcc_option(CLI::App& command, Dcc& dcc) {
         ->group("Result");
 }
 
+namespace {
+
+/// An option that says where masks come from, beside another that does.
+void imply(MaskOptions& mask, MaskMethod method, const std::string& option) {
+    if (mask.method != MaskMethod::Auto && mask.method != method) throw UsageError(option + " beside another way to masks (--mask, --clean-plate, --mask-command): only one can count");
+    mask.method = method;
+}
+
+}  // namespace
+
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask) {
     CLI::App* app = &command;
     app->add_option("--images", views.images, "folder of photographs")->group("Scene");
@@ -168,6 +179,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
             if (text.size() == 7 && text[0] == '#' && text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos) {
                 for (size_t k = 0; k < 3; ++k) key[k] = static_cast<uint8_t>(std::stoi(text.substr(1 + 2 * k, 2), nullptr, 16));
             } else {
+                if (std::count(text.begin(), text.end(), ',') != 2) throw UsageError("--chroma-key " + text + ": must be R,G,B within 0..255, or #rrggbb, like #00b140");
                 const auto c = numbers("--chroma-key", text, 3);
                 for (size_t k = 0; k < 3; ++k) {
                     if (!(c[k] >= 0 && c[k] <= 255)) throw UsageError("--chroma-key " + text + ": must be R,G,B within 0..255, or #rrggbb");
@@ -179,7 +191,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
     app->add_option("--chroma-level", mask.chroma.level, "object where less than this share of the key is (default: found, 0.3..0.7)")->check(CLI::Range(0.01, 0.99))->group("Masks");
     app->add_option_function<std::string>("--clean-plate", [&mask](const std::string& text) {
             mask.plate.plate = text;
-            mask.method = MaskMethod::CleanPlate;
+            imply(mask, MaskMethod::CleanPlate, "--clean-plate");
         }, "photograph of the background alone, or a folder with one of each view's name; implies --mask clean-plate")->group("Masks");
     app->add_option("--plate-level", mask.plate.level, "object where the difference is more than so many standard deviations")->capture_default_str()->check(CLI::Range(1.0, 100.0))->group("Masks");
     app->add_flag_function("--plate-keep-shadows", [&mask](int64_t count) { mask.plate.shadows = count <= 0; }, "what is the plate's colour, only darker, counts as object too")->group("Masks");
@@ -191,10 +203,9 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
     app->add_flag("--grabcut-from-threshold", mask.grabcut.from_threshold, "start from the mask of --threshold instead of a box")->group("Masks");
     app->add_option_function<std::string>("--mask-command", [&mask](const std::string& text) {
             mask.command = text;
-            mask.method = MaskMethod::Command;
+            imply(mask, MaskMethod::Command, "--mask-command");
         }, "'tool {in} {out}': a program that makes the mask of a photograph (a PNG, white or opaque where the object is); run without a shell, its masks are kept")->group("Masks");
     app->add_option("--mask-command-jobs", mask.command_jobs, "commands at a time")->capture_default_str()->check(CLI::Range(1, 256))->group("Masks");
-    app->add_flag("--repair-masks", mask.repair, "mend masks that contradict all others, by the other views and the photograph")->group("Masks");
     app->add_option("--mask-open", mask.clean_up.open_px, "opening of masks made from photographs, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
     app->add_option("--mask-close", mask.clean_up.close_px, "closing of masks made from photographs, px")->capture_default_str()->check(CLI::Range(0, 200))->group("Masks");
     app->add_option("--mask-fill-holes", mask.clean_up.fill_holes, "fill holes up to this share of the object's area (1: all)")
@@ -254,6 +265,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     app->add_option("-o,--output", o.output, "folder for the result")->required();
 
     add_scene_options(*app, o.views, o.mask);
+    if (last != LastStage::Mask && last != LastStage::Align) app->add_flag("--repair-masks", o.mask.repair, "mend masks that contradict all others, by the other views and the photograph")->group("Masks");
     app->add_option("--video-frames", o.video.frames, "frames to take of a film, evenly in motion, the sharpest near each place")->capture_default_str()->check(CLI::Range(4, 10000))->group("Scene");
     app->add_option("--video-range", raw->video_range, "FROM,TO: seconds of the film that are looked at (default: all)")->group("Scene");
     if (last != LastStage::Mask) add_alignment(*app, *raw);
@@ -369,6 +381,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                                  result.mesh.components > 1 ? " in " + std::to_string(result.mesh.components) + " pieces" : std::string(), result.mesh.genus, result.mesh.volume,
                                  result.median_iou, result.minimum_iou);
                 spdlog::info("result in {}", options.output.string());
+                if (!result.contradiction.empty()) throw ContradictionError(result.contradiction);
                 return 0;
             }};
 }

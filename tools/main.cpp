@@ -77,8 +77,33 @@ std::vector<double> numbers(const std::string& option, const std::string& text, 
     return out;
 }
 
-int run_program(const std::vector<std::string>& words) {
+namespace {
 
+/// Insertions, deletions and replacements that make one word the other (Levenshtein's distance).
+size_t edits(const std::string& a, const std::string& b) {
+    std::vector<size_t> row(b.size() + 1);
+    for (size_t j = 0; j <= b.size(); ++j) row[j] = j;
+    for (size_t i = 1; i <= a.size(); ++i) {
+        size_t diagonal = std::exchange(row[0], i);
+        for (size_t j = 1; j <= b.size(); ++j) diagonal = std::exchange(row[j], std::min({row[j] + 1, row[j - 1] + 1, diagonal + (a[i - 1] != b[j - 1])}));
+    }
+    return row.back();
+}
+
+/// The option of a command that an unknown word was probably meant to be; empty: none is near.
+std::string nearest_option(const CLI::App& command, const std::string& word) {
+    std::string best;
+    if (word.rfind("--", 0) != 0) return "";
+    size_t fewest = std::max<size_t>(2, word.size() / 4) + 1;
+    for (const CLI::Option* option : command.get_options())
+        for (const std::string& name : option->get_lnames())
+            if (const size_t n = edits(word.substr(2, word.find('=') - 2), name); n < fewest) fewest = n, best.assign("--").append(name);
+    return best;
+}
+
+}  // namespace
+
+int run_program(const std::vector<std::string>& words) {
     CLI::App program{"vdbcarve: photos around an object become a sparse volume (.vdb) and a closed mesh"};
     program.set_version_flag("--version", std::string("vdbcarve ") + kVersion);
     program.require_subcommand(1);
@@ -123,6 +148,19 @@ int run_program(const std::vector<std::string>& words) {
         if (e.get_name() == "RequiredError" && !words.empty() && words[0][0] != '-' && program.get_subcommands().empty()) {
             std::cerr << "vdbcarve: '" << words[0] << "' is no command. Run with --help for the list.\n";
             return static_cast<int>(ExitCode::Usage);
+        }
+        if (e.get_exit_code() == static_cast<int>(CLI::ExitCodes::ExtrasError)) {
+            const CLI::App* command = program.get_subcommands().empty() ? &program : program.get_subcommands().front();
+            std::string unknown;
+            for (const std::string& word : program.remaining(true))
+                if (word[0] == '-') {
+                    const std::string near = nearest_option(*command, word);
+                    unknown += (unknown.empty() ? "" : "; ") + word + " is no option" + (command == &program ? "" : " of " + command->get_name()) + (near.empty() ? "" : ". Is " + near + " meant?");
+                }
+            if (!unknown.empty()) {
+                spdlog::error("{}{} --help lists them", unknown, unknown.back() == '?' ? "" : ".");
+                return static_cast<int>(ExitCode::Usage);
+            }
         }
         const int code = program.exit(e, std::cout, std::cerr);
         return code == 0 ? 0 : static_cast<int>(ExitCode::Usage);

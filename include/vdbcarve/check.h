@@ -61,6 +61,7 @@ struct CheckResult {
     double soft_share = 0;              ///< of the masks that have grey along their contours
     // Images.
     size_t images_read = 0;
+    std::vector<std::string> looked_at;  ///< in words: images, masks, cameras, how they fit together
     std::vector<Finding> findings;
     /// Cameras of another reading of the file that fits where its own does not, to be written with cameras_json(); empty: none was found.
     std::optional<Views> better;

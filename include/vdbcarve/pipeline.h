@@ -101,6 +101,7 @@ struct Reconstruction {
     std::string report_json;  ///< what report.json holds (of a dry run: the plan)
     MeshMeasures mesh;
     double median_iou = 0, minimum_iou = 0;
+    std::string contradiction;  ///< why the result, which was written, is not to be trusted: most silhouettes contradict it; empty: they do not
 };
 
 /// Runs the stages that are not already in output/stages for the same inputs, options and code version.
