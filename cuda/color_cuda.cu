@@ -67,13 +67,6 @@ __global__ void make_points(const Nano* grid, const Grid::Leaf* leaves, const ui
     points[n] = surface_point(value, leaf.data()->mValues[t], voxel, value.origin[0] + (t >> 6), value.origin[1] + (t >> 3 & 7), value.origin[2] + (t & 7), rule, base);
 }
 
-__global__ void __launch_bounds__(kLeafVoxels) build_walls(const Grid::Leaf* leaves, float threshold, uint32_t* walls) {
-    const uint32_t n = blockIdx.x;
-    const int t = threadIdx.x;
-    const unsigned word = __ballot_sync(kAll, leaves[n].data()->mValues[t] < threshold);
-    if (t % 32 == 0) walls[16 * n + t / 32] = word;
-}
-
 __global__ void __launch_bounds__(128) observe_places(SightGrid sight, const SurfacePoint* points, const uint32_t* places, uint32_t count, const ColorView* views, uint32_t view_count, ColorRule rule, Observation* out) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count * view_count) return;
@@ -285,8 +278,7 @@ uint32_t ColorStage::find_contour(const Grid& surface, const ColorBase& base, in
         VDBCARVE_LAUNCHED();
         const float threshold = kSightBlock_vox * static_cast<float>(surface.spec().voxel_size);
         uint64_t* walls = p.walls.ensure(static_cast<size_t>(n) * kWallWords);
-        build_walls<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), threshold, reinterpret_cast<uint32_t*>(walls));
-        VDBCARVE_LAUNCHED();
+        build_walls(surface, threshold, walls, stream);
         p.sight = {surface.grid(), walls, threshold, base};
         make_points<<<blocks_for(p.contour_count, kThreads), kThreads, 0, s>>>(surface.grid(), surface.leaves(), p.contour.data(), p.contour_count, static_cast<float>(surface.spec().voxel_size),
                                                                                {normal_radius_vox, p.weights.data()}, base, p.points.ensure(p.contour_count));

@@ -231,6 +231,13 @@ __global__ void empty_boxes(NodePlaces places, uint32_t lowers, uint32_t uppers)
 }
 
 /// A block of threads an upper node.
+__global__ void __launch_bounds__(kLeafVoxels) mark_walls(const Grid::Leaf* leaves, float threshold, uint32_t* walls) {
+    const uint32_t n = blockIdx.x;
+    const int t = threadIdx.x;
+    const unsigned word = __ballot_sync(~0u, leaves[n].data()->mValues[t] < threshold);
+    if (t % 32 == 0) walls[16 * n + t / 32] = word;
+}
+
 __global__ void make_upper_boxes(NodePlaces places, const uint32_t* numbers, const uint32_t* upper_first, const int32_t* lower, uint32_t uppers) {
     for (uint32_t u = blockIdx.x; u < uppers; u += gridDim.x) {
         auto* data = (reinterpret_cast<NanoUpper*>(places.buffer + places.upper_at) + u)->data();
@@ -424,6 +431,11 @@ void Grid::build(const Topology& topology, const GridSpec& spec, const LeafSourc
     make_boxes<<<blocks_for(leaves, 128), 128, 0, s>>>(places, view, keys_.data(), leaves, reinterpret_cast<NanoRoot*>(places.buffer + root_at), topology.lower_.data());
     VDBCARVE_LAUNCHED();
     make_upper_boxes<<<tiles, 256, 0, s>>>(places, upper_numbers_.data(), topology.device_upper_first_.data(), topology.lower_.data(), tiles);
+    VDBCARVE_LAUNCHED();
+}
+
+void build_walls(const Grid& grid, float threshold, uint64_t* out, const Stream& stream) {
+    mark_walls<<<grid.leaf_count(), kLeafVoxels, 0, stream.get()>>>(grid.leaves(), threshold, reinterpret_cast<uint32_t*>(out));
     VDBCARVE_LAUNCHED();
 }
 

@@ -149,6 +149,9 @@ class Grid {
     uint32_t leaf_count_ = 0;
 };
 
+/// kernel::SightGrid::walls: a bit for every voxel of every leaf, set where the value is below the threshold; 8 words a leaf.
+void build_walls(const Grid& grid, float threshold, uint64_t* out, const Stream& stream);
+
 /// The six face neighbours of every leaf by number, -1 where there is none: -x +x -y +y -z +z; 6 a leaf.
 void find_neighbours(const Topology& topology, const Grid& grid, int32_t* out, const Stream& stream);
 

@@ -6,7 +6,7 @@
 #include "io_image.h"
 #include "statistics.h"
 #include "vdbcarve/distance.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 
 namespace vdbcarve {
 

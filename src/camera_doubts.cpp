@@ -18,7 +18,7 @@
 #include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/mesh.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 
 namespace vdbcarve {
 namespace {

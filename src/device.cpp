@@ -17,6 +17,7 @@
 #include "filter_plan.h"
 #include "marching_cubes.h"
 #include "nanovdb_bytes.h"
+#include "render_plan.h"
 #include "same_transform.h"
 #include "statistics.h"
 #include "vdbcarve/error.h"
@@ -64,6 +65,8 @@ openvdb::FloatGrid::Ptr DevicePipeline::surface() const { absent(); }
 void DevicePipeline::set_surface(const openvdb::FloatGrid&) { absent(); }
 ColorResult DevicePipeline::color(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const ColorOptions&, Progress&) { absent(); }
 FilterResult DevicePipeline::filter(const FilterOptions&, Progress&) { absent(); }
+void DevicePipeline::set_colors(const NanoBuffer&) { absent(); }
+Image8 DevicePipeline::render(const Camera&, const RenderOptions&) { absent(); }
 bool DevicePipeline::extract_mesh(bool) { absent(); }
 NanoBuffer DevicePipeline::hull_nanovdb() const { absent(); }
 NanoBuffer DevicePipeline::surface_nanovdb() const { absent(); }
@@ -529,6 +532,29 @@ openvdb::FloatGrid::Ptr DevicePipeline::surface() const {
 void DevicePipeline::set_surface(const openvdb::FloatGrid& surface) {
     parts_->use();
     parts_->upload(parts_->surface, surface);
+    parts_->render.clear_colors();
+}
+
+void DevicePipeline::set_colors(const NanoBuffer& colors) {
+    Parts& p = *parts_;
+    p.use();
+    p.render.set_colors(colors.data.get(), colors.size, p.stream);
+    p.stream.wait();
+}
+
+Image8 DevicePipeline::render(const Camera& camera, const RenderOptions& options) {
+    Parts& p = *parts_;
+    p.use();
+    const auto& volume = p.surface.topology ? p.surface : p.need(p.hull, "volume");
+    const cuda::GridSpec& spec = volume.grid.spec();
+    const std::array<int, 6> box = p.render.leaf_box(volume.grid, p.stream, p.times);
+    const RenderFrame frame({{box[0], box[1], box[2]}, {box[3], box[4], box[5]}}, Vec3d(spec.first_voxel_world[0], spec.first_voxel_world[1], spec.first_voxel_world[2]), spec.voxel_size);
+    const kernel::RenderRule rule = render_rule(frame, camera, options);
+    const uint8_t* pixels = p.render.render(volume.grid, frame.base, frame.box, rule, ambient_directions(rule.ambient_rays), srgb_table(), p.stream, p.times);
+    Image8 out(rule.width, rule.height, 4);
+    p.fetcher.fetch_to(out.data.data(), pixels, out.data.size(), p.stream);
+    p.stream.wait();
+    return out;
 }
 
 bool DevicePipeline::extract_mesh(bool normals) {
@@ -574,7 +600,7 @@ std::vector<std::pair<std::string, double>> DevicePipeline::milliseconds() const
 void DevicePipeline::clear_times() { parts_->times.clear(); }
 size_t DevicePipeline::bytes() const {
     const Parts& p = *parts_;
-    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
+    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
 }
 size_t DevicePipeline::free_bytes() const {
     parts_->use();

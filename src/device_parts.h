@@ -13,6 +13,7 @@
 #include "../cuda/filter_cuda.h"
 #include "../cuda/level_set_cuda.h"
 #include "../cuda/mesh_cuda.h"
+#include "../cuda/render_cuda.h"
 #include "marching_cubes.h"
 #include "nanovdb_bytes.h"
 #include "redistance.h"
@@ -92,6 +93,7 @@ struct DevicePipeline::Parts {
     cuda::FilterStage filter;
     cuda::MeshStage mesh;
     cuda::ColorStage color;
+    cuda::RenderStage render;
     cuda::DeviceBuffer<uint8_t> photos;   ///< of a batch
     cuda::DeviceBuffer<float> uploaded_values;
     cuda::DeviceBuffer<uint64_t> uploaded_active;

@@ -118,6 +118,15 @@ void stamp(Image8& image, const std::string& word) {
     cv::putText(m, word, {(image.width - size.width) / 2, (image.height + size.height) / 2}, cv::FONT_HERSHEY_SIMPLEX, scale, cv::Scalar(230, 40, 40, 255), thickness, cv::LINE_AA);
 }
 
+void write_text(Image8& image, int x, int y, int width, const std::string& text) {
+    cv::Mat m(image.height, image.width, CV_8UC(image.channels), image.data.data());
+    constexpr double kScale = 0.45;
+    std::string shown = text;
+    int below = 0;
+    while (!shown.empty() && cv::getTextSize(shown, cv::FONT_HERSHEY_SIMPLEX, kScale, 1, &below).width > width) shown.pop_back();
+    cv::putText(m, shown, {x, y}, cv::FONT_HERSHEY_SIMPLEX, kScale, cv::Scalar(40, 40, 40, 255), 1, cv::LINE_AA);
+}
+
 Image8 downscale(ImageView<uint8_t> image, int width, int height) {
     cv::Mat out;
     cv::resize(wrap(image), out, cv::Size(width, height), 0, 0, cv::INTER_AREA);

@@ -70,6 +70,9 @@ std::vector<std::array<int, 2>> skeleton_near(ImageView<uint8_t> coverage, Image
 /// Writes a word across the picture, red, so that nobody takes it for something else.
 void stamp(Image8& image, const std::string& word);
 
+/// A line of dark text in small letters, its baseline at y, cut where it would be wider than `width`.
+void write_text(Image8& image, int x, int y, int width, const std::string& text);
+
 /// Smaller copy by area averaging.
 Image8 downscale(ImageView<uint8_t> image, int width, int height);
 

@@ -27,6 +27,12 @@ Handle handle_of(const openvdb::FloatGrid& grid, bool finished = true) {
                     : nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::Disable, nanovdb::ChecksumMode::Disable);
 }
 
+NanoBuffer copy_of(const Handle& handle) {
+    NanoBuffer out = allocate_nanovdb(handle.size());
+    std::memcpy(out.data.get(), handle.data(), out.size);
+    return out;
+}
+
 }  // namespace
 
 NanoBuffer allocate_nanovdb(size_t bytes) {
@@ -52,12 +58,9 @@ void finish_nanovdb(NanoBuffer& buffer, const openvdb::math::Transform& transfor
     nanovdb::updateChecksum(*grid, nanovdb::ChecksumMode::Full);
 }
 
-NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid, bool finished) {
-    const Handle handle = handle_of(grid, finished);
-    NanoBuffer out = allocate_nanovdb(handle.size());
-    std::memcpy(out.data.get(), handle.data(), out.size);
-    return out;
-}
+NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid, bool finished) { return copy_of(handle_of(grid, finished)); }
+
+NanoBuffer to_nanovdb(const openvdb::Vec3SGrid& grid) { return copy_of(nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::Disable, nanovdb::ChecksumMode::Disable)); }
 
 std::string invalid_nanovdb(const NanoBuffer& buffer) { return nanovdb::GridValidator<float>::check(*grid_in(buffer), true); }
 

@@ -158,10 +158,10 @@ Made make_one(const View& view, const fs::path& scene, const MaskOptions& option
         } else if (method == MaskMethod::Chroma) {
             mask = chroma_mask(photo("chroma key"), options.chroma, options.clean_up);
         } else if (method == MaskMethod::CleanPlate) {
-            const fs::path file = plate_file(view, scene, options);
-            const Image8 plate = io::read_photo8(file, view.orientation == 1 ? 1 : io::exif_orientation(file));
-            check_size(plate, file, "the clean plate");
-            if (plate.channels < 3) throw InputError(file.string() + ": is grey; a clean plate in colour is wanted");
+            const fs::path plate_path = plate_file(view, scene, options);
+            const Image8 plate = io::read_photo8(plate_path, view.orientation == 1 ? 1 : io::exif_orientation(plate_path));
+            check_size(plate, plate_path, "the clean plate");
+            if (plate.channels < 3) throw InputError(plate_path.string() + ": is grey; a clean plate in colour is wanted");
             mask = plate_mask(photo("difference from the clean plate"), plate, options.plate, options.clean_up);
         } else if (method == MaskMethod::GrabCut) {
             const Image8 seed = options.grabcut.from_threshold ? seed_of_mask(threshold_mask(image, options.threshold, options.clean_up).coverage, 0.02 * std::min(image.width, image.height)) : seed_of_box(image.width, image.height, options.grabcut.box_px);

@@ -16,7 +16,7 @@
 #include "vdbcarve/distance.h"
 #include "vdbcarve/kernel/distance.h"
 #include "vdbcarve/mesh.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 
 namespace vdbcarve {
 namespace {

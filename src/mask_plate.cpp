@@ -158,10 +158,10 @@ Mask plate_mask(ImageView<uint8_t> photo, ImageView<uint8_t> plate, const PlateO
             Vec3d sigma;
             for (int c = 0; c < 3; ++c) sigma[c] = std::hypot(noise[static_cast<size_t>(c)], 0.02 * m[c]);
             const auto far = [&](const Vec3d& difference) { return difference.cwiseQuotient(sigma).norm() / std::sqrt(3.0); };
-            const double off = far(s - m);
-            binary.at<uint8_t>(y, x) = off > options.level ? 255 : 0;
-            perhaps.at<uint8_t>(y, x) = off > 0.5 * options.level ? 255 : 0;
-            if (off < 0.5 * options.level || !options.shadows) continue;
+            const double distance = far(s - m);
+            binary.at<uint8_t>(y, x) = distance > options.level ? 255 : 0;
+            perhaps.at<uint8_t>(y, x) = distance > 0.5 * options.level ? 255 : 0;
+            if (distance < 0.5 * options.level || !options.shadows) continue;
             // A shadow is the same colour, darker (Horprasert, Harwood and Davis, "A statistical approach for real-time robust background subtraction and shadow detection", 1999), by a
             // share that changes slowly but at its edge, so that the plate's own texture shows through.
             const double share = s.dot(m) / std::max(1.0, m.squaredNorm()), level = mean.at<float>(y, x);

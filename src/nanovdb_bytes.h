@@ -16,6 +16,8 @@ void finish_nanovdb(NanoBuffer& grid, const openvdb::math::Transform& transform)
 /// The grid as NanoVDB, by NanoVDB's own converter; without statistics and checksum where `finished` is false.
 NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid, bool finished = true);
 
+NanoBuffer to_nanovdb(const openvdb::Vec3SGrid& grid);
+
 /// NanoVDB's validator, checksum included. What is wrong, or nothing.
 std::string invalid_nanovdb(const NanoBuffer& grid);
 

@@ -3,7 +3,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "vdbcarve/error.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 
 namespace vdbcarve {
 

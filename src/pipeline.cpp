@@ -35,7 +35,7 @@
 #include "vdbcarve/export.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 #include "vdbcarve/version.h"
 
 namespace vdbcarve {
@@ -1821,8 +1821,16 @@ class Job {
         median_iou_ = median(ious);
         agreement_ = std::move(a);
         report_["silhouette_iou"] = {{"median", median_iou_}, {"minimum", minimum_iou_}};
-        if (median_iou_ < kFits_iou && !report_.contains("floor"))
+        if (median_iou_ < kFits_iou && !shape_was_changed())
             contradiction_ = text_of("most views contradict the result: %zu of %zu agree with it by less than %.1f (silhouette IoU, median %.3f). It was written, but cameras and masks do not fit together; ", weak_count, ious.size(), kFits_iou, median_iou_) + ask_check();
+    }
+
+    /// What was asked for takes parts of the hull away, which silhouettes show: no contradiction of theirs.
+    bool shape_was_changed() const {
+        if (o_.bounds || report_.contains("floor")) return true;
+        const auto lost = [](const json& from, const char* before, double after) { return from.contains(before) && std::fabs(after / from[before].get<double>() - 1) > 0.02; };
+        const json filter = report_.value("filter", json::object());
+        return lost(filter, "volume_before", filter.value("volume_filtered", 0.0)) || lost(report_.value("smooth", json::object()), "volume_before", measures_.volume);
     }
 
     /// A height that was typed wrongly takes a leg off.

@@ -14,7 +14,7 @@
 #include "vdbcarve/color_space.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/mesh.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 
 namespace vdbcarve {
 

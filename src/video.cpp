@@ -259,25 +259,47 @@ VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const V
     return out;
 }
 
-void write_film(const std::vector<Image8>& pictures, double rate_hz, const fs::path& file) {
-    if (pictures.empty() || pictures.front().channels != 3) throw OutputError(file.string() + ": a film needs colour pictures");
-    const cv::Size size(pictures.front().width, pictures.front().height);
+bool write_film(size_t count, const std::function<Image8(size_t)>& picture, double rate_hz, const fs::path& file, FilmCodec codec) {
+    if (count == 0) throw OutputError(file.string() + ": a film needs pictures");
     // FFmpeg writes from the name's ending what kind of file it is, so the temporary one ends likewise.
     fs::path part = file;
     part.replace_extension(".part" + file.extension().string());
-    {
-        cv::VideoWriter writer(part.string(), cv::CAP_FFMPEG, cv::VideoWriter::fourcc('m', 'p', '4', 'v'), rate_hz, size);
-        if (!writer.isOpened()) throw OutputError(file.string() + ": a film cannot be written here");
-        for (const Image8& p : pictures) {
+    std::vector<int> codecs{cv::VideoWriter::fourcc('m', 'p', '4', 'v')};
+    if (codec == FilmCodec::Browser && file.extension() == ".webm") codecs = {cv::VideoWriter::fourcc('V', 'P', '8', '0')};
+    else if (codec == FilmCodec::Browser) codecs.insert(codecs.begin(), cv::VideoWriter::fourcc('a', 'v', 'c', '1'));
+    bool wanted = true;
+    try {
+        cv::VideoWriter writer;
+        cv::Size size;
+        for (size_t i = 0; i < count; ++i) {
+            const Image8 p = picture(i);
+            if (p.channels != 3) throw OutputError(file.string() + ": a film needs colour pictures");
+            if (i == 0) {
+                size = {p.width, p.height};
+                for (size_t c = 0; c < codecs.size() && !writer.isOpened(); ++c) {
+                    writer.open(part.string(), cv::CAP_FFMPEG, codecs[c], rate_hz, size);
+                    wanted = c == 0;
+                }
+                if (!writer.isOpened()) throw OutputError(file.string() + ": a film cannot be written here");
+            }
             if (p.width != size.width || p.height != size.height) throw OutputError(file.string() + ": pictures of different sizes make no film");
             cv::Mat bgr;
             cv::cvtColor(io::wrap(p.view()), bgr, cv::COLOR_RGB2BGR);
             writer.write(bgr);
         }
+    } catch (...) {
+        std::error_code ignored;
+        fs::remove(part, ignored);
+        throw;
     }
     std::error_code error;
     fs::rename(part, file, error);
     if (error) throw OutputError(file.string() + ": " + error.message());
+    return wanted;
+}
+
+void write_film(const std::vector<Image8>& pictures, double rate_hz, const fs::path& file) {
+    write_film(pictures.size(), [&](size_t i) { return pictures[i]; }, rate_hz, file, FilmCodec::Plain);
 }
 
 std::string video_json(const VideoFrames& v) {

@@ -13,7 +13,7 @@
 #include "support/align_scene.h"
 #include "vdbcarve/align.h"
 #include "vdbcarve/evaluate.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 #include "vdbcarve/synthetic.h"
 
 namespace vdbcarve {

@@ -5,6 +5,7 @@
 //   vdbcarve_device_bench scene FOLDER GRID…      a packed scene, device only
 //   vdbcarve_device_bench hull FOLDER N FILE      carves a packed scene at resolution N on the device and writes the hull as .vdb
 //   vdbcarve_device_bench color FOLDER GRID       colours a packed scene with photographs, step by step
+//   vdbcarve_device_bench render FOLDER GRID      pictures of a packed scene; and, at 128, 256 and 512, carving and looking at it again and again
 //   vdbcarve_device_bench ceilings                what the device can do at most
 //   vdbcarve_device_bench once GRID               one run of all stages, for a profiler
 #include <algorithm>
@@ -12,6 +13,7 @@
 #include <cstdio>
 #include <fstream>
 #include <iostream>
+#include <functional>
 #include <map>
 
 #include "device_ceilings.h"
@@ -89,6 +91,72 @@ void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid,
         std::printf("%s: %zu voxels of the contour, %.1f %% seen, %zu views, %.0f MB on the device\n", mode == ColorMode::Best ? "best" : "blend", result.statistics.surface_voxels,
                     100.0 * static_cast<double>(result.statistics.colored) / static_cast<double>(result.statistics.surface_voxels), inputs.size(), static_cast<double>(device.bytes()) / 1e6);
         print_medians(steps);
+    }
+}
+
+double median_of(std::vector<double> v) {
+    std::sort(v.begin(), v.end());
+    return v[v.size() / 2];
+}
+
+/// Pictures of 1024 x 1024 of the coloured surface; then carving and looking, as with a model that grows.
+void bench_render(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
+    DevicePipeline device;
+    const auto surface = make_surface(device, scene, grid, progress);
+    openvdb::Vec3SGrid::Ptr colors;
+    if (!scene.photos.empty()) colors = color(*surface, scene.color_inputs(), {}, progress).color;
+    RenderVolume gpu(*surface, colors.get(), Backend::Cuda);
+    OrbitView view;
+    const auto camera = [&](const Box3d& box, int frame) {
+        view.azimuth_deg = 17.0 * frame;
+        return orbit_camera(box, Vec3d::UnitY(), view);
+    };
+    const std::pair<const char*, std::function<void(RenderOptions&)>> kinds[] = {
+        {"surface, ambient occlusion", [](RenderOptions&) {}},
+        {"surface, four rays a pixel", [](RenderOptions& o) { o.samples = 2; }},
+        {"surface, no ambient occlusion", [](RenderOptions& o) { o.ambient_rays = 0; }},
+        {"voxels", [](RenderOptions& o) { o.style = RenderStyle::Voxels; }},
+        {"x-ray", [](RenderOptions& o) { o.style = RenderStyle::XRay; }},
+    };
+    for (const auto& [name, change] : kinds) {
+        RenderOptions o;
+        o.samples = 1;
+        change(o);
+        std::vector<double> ms;
+        for (int frame = 0; frame < 22; ++frame) {
+            render(gpu, camera(gpu.bounds_world(), frame), o);
+            if (frame >= 2) ms.push_back(gpu.device_milliseconds());
+        }
+        std::printf("render %-32s %8.3f ms (median of 20 azimuths, 1024 x 1024)\n", name, median_of(ms));
+    }
+    for (const int side : {128, 256, 512}) {
+        CarveOptions c;
+        c.bounds_world = scene.bounds;
+        c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / side;
+        const FieldPlan plan = plan_fields(scene.cameras, c);
+        DistanceOptions d;
+        d.scale = plan.scale;
+        d.reach_samples = plan.reach_samples;
+        DevicePipeline live;
+        live.upload(scene.mask_views());
+        live.distance(d);
+        const std::vector<CarveInput> inputs = scene.inputs();
+        RenderOptions o;
+        o.samples = 1;
+        for (const bool fields_too : {false, true}) {
+            std::vector<double> ms;
+            for (int frame = 0; frame < 33; ++frame) {
+                const auto start = std::chrono::steady_clock::now();
+                if (fields_too) {
+                    live.upload(scene.mask_views());
+                    live.distance(d);
+                }
+                live.carve(inputs, c, progress);
+                live.render(camera(scene.bounds, frame), o);
+                if (frame >= 3) ms.push_back(1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+            }
+            std::printf("%d: %scarve and render, picture home: %.2f ms, %.0f frames a second\n", side, fields_too ? "masks up, fields, " : "", median_of(ms), 1e3 / median_of(ms));
+        }
     }
 }
 
@@ -175,6 +243,8 @@ int run(const std::vector<std::string>& words) {
         bench_color(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "filter" && words.size() == 3) {
         bench_filter(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
+    } else if (what == "render" && words.size() == 3) {
+        bench_render(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "ceilings") {
         const test::DeviceCeilings c = test::measure_ceilings();
         std::printf("copy within the device %.0f GB/s (read + written), upload %.1f GB/s, separate float operations %.0f G warp instructions/s\n", c.copy_gb_s, c.upload_gb_s, c.instructions_g_s);

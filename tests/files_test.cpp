@@ -17,7 +17,7 @@
 #include "vdbcarve/export.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 
 namespace vdbcarve::test {
 namespace {

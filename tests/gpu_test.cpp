@@ -18,6 +18,7 @@
 #include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
+#include "vdbcarve/render.h"
 
 namespace vdbcarve::test {
 namespace {
@@ -465,6 +466,52 @@ TEST_F(Gpu, AnEmptyHullIsExplainedAlike) {
     EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); }));
 }
 
+/// Pictures in all styles, from outside in several directions and from amid the voxels.
+void expect_same_pictures(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* colors, int side) {
+    RenderVolume cpu(surface, colors, Backend::Cpu), gpu(surface, colors, Backend::Cuda);
+    const Box3d box = cpu.bounds_world();
+    EXPECT_EQ(box.min(), gpu.bounds_world().min());
+    std::vector<Camera> cameras;
+    for (const double azimuth : {0.0, 90.0, 217.0})
+        for (const double fov : {0.0, 35.0}) {
+            OrbitView v;
+            v.azimuth_deg = azimuth;
+            v.elevation_deg = azimuth / 5 - 10;
+            v.fov_deg = fov;
+            v.width_px = side;
+            v.height_px = side - 11;
+            cameras.push_back(orbit_camera(box, Vec3d::UnitZ(), v));
+        }
+    cameras.push_back(cameras.back());
+    cameras.back().camera_from_world.translation = -(cameras.back().camera_from_world.rotation * (box.center() + 0.31 * box.sizes()));
+    for (const RenderStyle style : {RenderStyle::Surface, RenderStyle::Voxels, RenderStyle::XRay, RenderStyle::Slice})
+        for (size_t c = 0; c < cameras.size(); ++c) {
+            RenderOptions o;
+            o.style = style;
+            o.samples = c % 2 ? 1 : 2;
+            o.slice = {Vec3d(0.3, -1, 0.2), Vec3d(0.3, -1, 0.2).dot(box.center())};
+            if (c % 3 == 0) o.background.reset();
+            o.color = c != 4;
+            const Image8 expected = render(cpu, cameras[c], o), found = render(gpu, cameras[c], o);
+            size_t differing = 0;
+            for (size_t n = 0; n < expected.data.size(); ++n) differing += expected.data[n] != found.data[n];
+            EXPECT_EQ(differing, 0u) << "style " << static_cast<int>(style) << ", camera " << c;
+            EXPECT_GT(std::count(expected.data.begin(), expected.data.end(), expected.data.front()), 0);
+        }
+    EXPECT_GT(gpu.device_milliseconds(), 0);
+}
+
+TEST_F(Gpu, PicturesEqualTheCpus) {
+    const ColorScene s = colored("ellipsoids", 9, 90);
+    const ColorResult c = color(*s.surface, s.inputs, {}, quiet_);
+    expect_same_pictures(*s.surface, c.color.get(), 160);
+    expect_same_pictures(*noise_grid(44, true, false, 3), nullptr, 96);
+    expect_same_pictures(*noise_grid(40, false, false, 4), nullptr, 96);
+    // Tiles of every size inside, across upper nodes.
+    const auto large = openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(300.f, openvdb::Vec3f(-40.f, 4090.f, 60.f), 1.f, 3.f);
+    expect_same_pictures(*large, nullptr, 120);
+}
+
 // Scenes that were packed for this machine (tests/pack_scene.cpp): real photographs' masks, at a resolution people use.
 TEST_F(Gpu, PackedScenesEqualTheCpus) {
     const char* folder = std::getenv("VDBCARVE_PACKED_SCENES");
@@ -505,6 +552,7 @@ TEST_F(Gpu, PackedScenesEqualTheCpus) {
                 expect_same_colors(cpu, gpu);
                 std::printf("%s: %zu of %zu voxels of the contour seen\n", entry.path().filename().c_str(), cpu.statistics.colored, cpu.statistics.surface_voxels);
             }
+        expect_same_pictures(*surface, nullptr, 512);
         const MeshMeasures m = measure(mesh);
         std::printf("%s: %u leaves, %zu vertices, manifold %d, volume %.9g\n", entry.path().filename().c_str(), surface->tree().leafCount(), m.vertices, m.manifold, m.volume);
     }

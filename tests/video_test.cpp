@@ -60,7 +60,9 @@ TEST(Video, FramesAreEvenInMotionNotInTime) {
         standing += f.index > 27 && f.index < 48;
         const Image8 picture = io::read_photo8(folder / ("frames/" + f.name));
         EXPECT_EQ(picture.width, 160);
-        if (k) EXPECT_GT(f.index, v.frames[k - 1].index);
+        if (k) {
+            EXPECT_GT(f.index, v.frames[k - 1].index);
+        }
     }
     EXPECT_LE(standing, 1u);
     // What is written beside them is what was returned; the same again gives the same bytes.

@@ -38,6 +38,7 @@ Command add_board(CLI::App& program);
 Command add_check(CLI::App& program);
 Command add_evaluate(CLI::App& program);
 Command add_export(CLI::App& program);
+Command add_render(CLI::App& program);
 /// `name` is a stage of reconstruct that is to be done anew, with other options.
 Command add_again(CLI::App& program, const char* name, const char* what, const char* example);
 
@@ -52,6 +53,9 @@ void add_dcc_option(CLI::App& command, Dcc& dcc);
 
 /// "a,b,c" as numbers. Throws UsageError naming the option.
 std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');
+
+/// "R,G,B" (0..255) or "#rrggbb". Throws UsageError naming the option, and the words that it takes besides.
+std::array<uint8_t, 3> rgb8_of(const std::string& option, const std::string& text, const std::string& words = "");
 
 /// For options that are lengths. (CLI11's own names the largest number there is.)
 inline CLI::Validator above_zero() {

@@ -175,18 +175,7 @@ void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask
         ->group("Masks");
     app->add_flag("--threshold-invert", mask.threshold.invert, "the object is what is darker")->group("Masks");
     app->add_option_function<std::string>("--chroma-key", [&mask](const std::string& text) {
-            std::array<uint8_t, 3> key{};
-            if (text.size() == 7 && text[0] == '#' && text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos) {
-                for (size_t k = 0; k < 3; ++k) key[k] = static_cast<uint8_t>(std::stoi(text.substr(1 + 2 * k, 2), nullptr, 16));
-            } else {
-                if (std::count(text.begin(), text.end(), ',') != 2) throw UsageError("--chroma-key " + text + ": must be R,G,B within 0..255, or #rrggbb, like #00b140");
-                const auto c = numbers("--chroma-key", text, 3);
-                for (size_t k = 0; k < 3; ++k) {
-                    if (!(c[k] >= 0 && c[k] <= 255)) throw UsageError("--chroma-key " + text + ": must be R,G,B within 0..255, or #rrggbb");
-                    key[k] = static_cast<uint8_t>(std::lround(c[k]));
-                }
-            }
-            mask.chroma.key_rgb = key;
+            mask.chroma.key_rgb = rgb8_of("--chroma-key", text);
         }, "R,G,B (0..255) or #rrggbb of the cloth (default: what the photographs' borders mostly have)")->group("Masks");
     app->add_option("--chroma-level", mask.chroma.level, "object where less than this share of the key is (default: found, 0.3..0.7)")->check(CLI::Range(0.01, 0.99))->group("Masks");
     app->add_option_function<std::string>("--clean-plate", [&mask](const std::string& text) {

@@ -77,6 +77,22 @@ std::vector<double> numbers(const std::string& option, const std::string& text, 
     return out;
 }
 
+std::array<uint8_t, 3> rgb8_of(const std::string& option, const std::string& text, const std::string& words) {
+    const auto refuse = [&] { return UsageError(option + " " + text + ": must be " + (words.empty() ? "" : words + ", ") + "R,G,B within 0..255, or #rrggbb, like #00b140"); };
+    std::array<uint8_t, 3> out{};
+    if (text.size() == 7 && text[0] == '#' && text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos) {
+        for (size_t k = 0; k < 3; ++k) out[k] = static_cast<uint8_t>(std::stoi(text.substr(1 + 2 * k, 2), nullptr, 16));
+        return out;
+    }
+    if (std::count(text.begin(), text.end(), ',') != 2) throw refuse();
+    const std::vector<double> c = numbers(option, text, 3);
+    for (size_t k = 0; k < 3; ++k) {
+        if (!(c[k] >= 0 && c[k] <= 255)) throw refuse();
+        out[k] = static_cast<uint8_t>(std::lround(c[k]));
+    }
+    return out;
+}
+
 namespace {
 
 /// Insertions, deletions and replacements that make one word the other (Levenshtein's distance).
@@ -122,6 +138,7 @@ int run_program(const std::vector<std::string>& words) {
         "  vdbcarve smooth out --faces 50000                 a lighter mesh\n"
         "  vdbcarve reconstruct shoot --units mm --dcc blender -o out   volume and meshes in Blender's axes and metres\n"
         "  vdbcarve export out -o volume.nvdb model.stl      other formats\n"
+        "  vdbcarve render out -o turn.mp4                   a film of one turn; .png: a picture\n"
         "  vdbcarve bench                                    how fast this machine carves"
         "\n"
         "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");
@@ -133,7 +150,7 @@ int run_program(const std::vector<std::string>& words) {
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
     std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_bench(program), cli::add_board(program),
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_bench(program), cli::add_board(program),
                                        cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
                                        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
                                        cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),

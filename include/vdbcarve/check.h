@@ -8,7 +8,7 @@
 
 #include "vdbcarve/mask.h"
 #include "vdbcarve/progress.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 #include "vdbcarve/views.h"
 
 namespace vdbcarve {

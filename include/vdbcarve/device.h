@@ -20,6 +20,7 @@
 #include "vdbcarve/distance.h"
 #include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
+#include "vdbcarve/render.h"
 #include "vdbcarve/triangle_mesh.h"
 
 namespace vdbcarve {
@@ -68,6 +69,11 @@ class DevicePipeline {
 
     /// Filters the surface in its place. The result's grid and counts of pieces are not set: surface() brings it home. Errors like filter().
     FilterResult filter(const FilterOptions& options, Progress& progress);
+
+    /// Colours of the surface, a NanoVDB grid of Vec3f (linear light, active where there is one), for render(); until the next ones, or another surface is set.
+    void set_colors(const NanoBuffer& colors);
+    /// A picture of the surface, or of the hull where there is none yet: see render(). Its device time is "render", that of what is made ready for it "render: walls".
+    Image8 render(const Camera& camera, const RenderOptions& options);
 
     /// Marching cubes of the surface, on the device. False where only extract_mesh() of the grid on the CPU can: no level set with
     /// a whole band is such (cuda/mesh_cuda.h).

@@ -9,7 +9,7 @@
 
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/progress.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 #include "vdbcarve/triangle_mesh.h"
 #include "vdbcarve/views.h"
 

@@ -1,78 +1,93 @@
 // SPDX-License-Identifier: Apache-2.0
-// Meshes seen by cameras: silhouettes and depth at pixel centres, agreement with masks, a contact sheet.
+// Stage `render`: pictures of volumes and meshes, to be looked at. (What is measured about meshes in images is in raster.h.)
 #pragma once
 
+#include <openvdb/openvdb.h>
+
 #include <array>
-#include <functional>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "vdbcarve/backend.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
 #include "vdbcarve/triangle_mesh.h"
 
 namespace vdbcarve {
 
-/// What the ray through each pixel centre hits first.
-struct Raster {
-    ImageF depth;                ///< camera z, world units; infinity where nothing is hit
-    Image<uint32_t> face;        ///< index of the triangle, UINT32_MAX where nothing is hit
+class DevicePipeline;
+
+enum class RenderStyle {
+    Surface,  ///< the level set's zero, interpolated, under light, with ambient occlusion
+    Voxels,   ///< voxels inside as cubes, nothing interpolated: the volume as it is (Denkowski 2013, Fig. 3)
+    XRay,     ///< how thick the object is
+    Slice     ///< its section with a plane
 };
 
-/// Exact at pixel centres; triangles that touch the camera plane are left out. Single-threaded.
-Raster rasterize(const Mesh& mesh, const Camera& camera);
-
-/// The mesh in its own colours, without light, as RGBA in sRGB: alpha 255 where the ray through the pixel centre hits. Colours are those of the
-/// vertices, interpolated in linear light, or of `color_at` (world), where it is given. Throws UsageError for a mesh without either.
-Image8 render_colors(const Mesh& mesh, const Camera& camera, const std::function<std::array<float, 3>(const Vec3d&)>& color_at = {});
-
-/// How well a rendered view agrees with its photograph, in 8-bit sRGB, over the pixels that are hit and, where there is a mask, half covered or
-/// more and not ignored.
-struct PhotoAgreement {
-    size_t pixels = 0;
-    double psnr_db = 0;  ///< of R, G and B together; infinity where all are equal
-    double ssim = 0;     ///< Wang et al. 2004 on luma, Gaussian window of sigma 1.5 px, weighted within the region only
+/// Points with normal . x = offset, world.
+struct Plane {
+    Vec3d normal = Vec3d::UnitZ();
+    double offset = 0;
 };
-PhotoAgreement compare_photo(ImageView<uint8_t> rendered_rgba, const PhotoView& photo, const MaskView& mask);
 
-/// 255 where the ray through the pixel centre hits the mesh.
-Image8 silhouette_of(const Mesh& mesh, const Camera& camera);
-
-/// Share of each pixel covered by the mesh, 0..255, from samples x samples rays a pixel.
-Image8 coverage_of(const Mesh& mesh, const Camera& camera, int samples);
-
-/// The same camera with an image of `factor` times as many pixels a side.
-Camera scaled(const Camera& camera, double factor);
-
-/// How well a mesh's silhouette agrees with a mask. Ignored pixels are left out.
-struct SilhouetteAgreement {
-    double iou = 0;                     ///< |hit and mask| / |hit or mask|; 1 when both are empty
-    double contour_p95_px = 0;          ///< distance between the two contours, 95th percentile
-    double contour_p99_px = 0;
-    size_t missed_px = 0, extra_px = 0;  ///< mask not hit; hit outside the mask
-    size_t largest_missed_blob_px = 0;   ///< pixels of the largest connected piece of what is missed
-    /// Length, in pixels, of the mask's skeleton where the mask is at most 20 px wide and nothing is hit within 1.5 px: thin
-    /// parts that are gone while the area hardly tells.
-    size_t thin_length_lost_px = 0;
-    std::array<int, 4> missed_blob{};                ///< x0, y0, x1, y1 of the largest missed piece
-    std::vector<std::array<int, 2>> thin_lost;       ///< the lost pixels of the skeleton
+struct RenderOptions {
+    RenderStyle style = RenderStyle::Surface;
+    int samples = 2;                   ///< rays along a pixel's side
+    bool color = true;                 ///< the volume's own colours, where it has any
+    std::array<double, 3> plain{0.55, 0.55, 0.56};  ///< linear light of what has none
+    int ambient_rays = 8;              ///< a ray into how many directions it is asked whether the sky is hidden; 0: no ambient occlusion
+    double ambient_reach = 0.12;       ///< and how far, as a share of the volume's longest side
+    double iso = 0;                    ///< the surface lies where the level set has this value, world units; within the band
+    Plane slice;                       ///< of RenderStyle::Slice
+    std::optional<std::array<uint8_t, 3>> background{{255, 255, 255}};  ///< sRGB; none: transparent
+    Vec3d up = Vec3d::Zero();          ///< where the sky is, world; zero: the image's up
 };
-SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask);
 
-/// One picture of up to 12 evenly chosen views: the mesh, shaded, over the darkened photograph; red where the
-/// mask is missed, blue where the mesh sticks out, yellow where thin parts are lost, the largest missed piece framed. `photos` may hold empty images.
-struct PreviewView {
-    std::string name;
-    Camera camera;
-    Image8 photo;  ///< RGB, RGBA or grey, undistorted, any size; empty: black
-    Image8 mask;
-    std::array<int, 4> missed_blob{};           ///< of SilhouetteAgreement, in the mask's pixels: framed in orange
-    std::vector<std::array<int, 2>> thin_lost;  ///< drawn in yellow
-    std::vector<Vec3d> cut_world;               ///< points of the line along which a floor cuts the object, drawn in cyan
+/// A level set made ready to be rendered, on the backend of choice: once for many pictures.
+class RenderVolume {
+  public:
+    /// `color` (linear light, active where there is one) may be null. Throws UsageError for a grid that is no level set with voxels as cubes, BackendError.
+    RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* color, Backend backend = Backend::Cpu, int device = 0);
+    ~RenderVolume();
+    RenderVolume(RenderVolume&&) noexcept;
+
+    Backend backend_used() const;
+    /// What holds the surface, world.
+    const Box3d& bounds_world() const;
+    /// Device time of the last picture on CUDA, milliseconds; 0 on the CPU.
+    double device_milliseconds() const;
+
+  private:
+    friend Image8 render(RenderVolume&, const Camera&, const RenderOptions&);
+    struct Parts;
+    std::unique_ptr<Parts> parts_;
 };
-Image8 preview_sheet(const Mesh& mesh, const std::vector<PreviewView>& views);
 
-/// A mask over its photograph (which may be empty), at most 1024 pixels wide: what is left out reddish, what is ignored bluish, the silhouette's edge green.
-Image8 mask_overlay(ImageView<uint8_t> photo, const Mask& mask);
+/// The picture, RGBA in sRGB; CPU and GPU give the same bytes. Time: dragon, 1024 voxels, 1024 x 1024 pixels, samples 1: BENCHMARKS.md.
+Image8 render(RenderVolume& volume, const Camera& camera, const RenderOptions& options);
+
+/// A mesh under the same light, in its own colours where it has any; rasterised, without ambient occlusion. Styles other than Surface: UsageError.
+Image8 render(const Mesh& mesh, const Camera& camera, const RenderOptions& options);
+
+/// A camera that sees a box whole, looking at its centre. Azimuth counterclockwise about `up`, from x (from y where up is along x).
+struct OrbitView {
+    bool whole_turn = false;  ///< as far away as is needed from every azimuth
+    double azimuth_deg = 30, elevation_deg = 20;
+    double fov_deg = 30;  ///< of the smaller side; 0: orthographic
+    int width_px = 1024, height_px = 1024;
+};
+Camera orbit_camera(const Box3d& box_world, const Vec3d& up_world, const OrbitView& view);
+
+/// A camera for slices: looks along -axis, orthographic, upright as far as may be; its image is as wide or as high as longest_px, and has the box's shape.
+Camera slice_camera(const Box3d& box_world, const Vec3d& axis_world, const Vec3d& up_world, int longest_px);
+
+/// Pictures of one size side by side, `columns` in a row, with a line of text under each; white between.
+Image8 sheet_of(const std::vector<Image8>& pictures, const std::vector<std::string>& names, int columns);
+
+/// Where the result's photographs stand beside pictures of it: of equal size, RGB. A transparent picture is laid over white, a photograph is made
+/// as large as the picture.
+Image8 beside_photo(ImageView<uint8_t> photo, ImageView<uint8_t> picture);
 
 }  // namespace vdbcarve

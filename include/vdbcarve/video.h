@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -43,7 +44,10 @@ bool is_video(const std::filesystem::path& path);
 /// Throws InputError for a film that cannot be opened, in which nothing moves, or that has fewer than 4 sound frames.
 VideoFrames extract_frames(const std::filesystem::path& film, const std::filesystem::path& folder, const VideoOptions& options, Progress& progress);
 
-/// A film (MPEG-4 part 2) of RGB pictures of one size. Throws OutputError.
+/// A film of RGB pictures of one size. Throws OutputError. Codecs: MPEG-4 part 2, which every FFmpeg writes; or what browsers play, H.264 in .mp4
+/// (MPEG-4 part 2 where FFmpeg has none, with false returned) and VP8 in .webm, for which sides must be even.
+enum class FilmCodec { Plain, Browser };
+bool write_film(size_t count, const std::function<Image8(size_t)>& picture, double rate_hz, const std::filesystem::path& file, FilmCodec codec);
 void write_film(const std::vector<Image8>& pictures, double rate_hz, const std::filesystem::path& file);
 
 /// What frames.json holds, and back. Throws InputError.

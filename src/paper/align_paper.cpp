@@ -20,7 +20,7 @@
 #include "vdbcarve/error.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
-#include "vdbcarve/render.h"
+#include "vdbcarve/raster.h"
 
 namespace vdbcarve {
 namespace {

@@ -108,28 +108,45 @@ class SightCells {
     bool known_ = false;
 };
 
-/// True when a voxel that stands in the way has its cell (the cube around its centre) on the way from `start` along
-/// `direction` (unit) up to `length` voxels. Every step is computed from the start: no error builds up.
-VDBCARVE_HD bool is_blocked(SightCells& cells, const SightBox& box, const Vec3& start, const Vec3& direction, float length) {
-    const float from[3] = {start.x + 0.5f, start.y + 0.5f, start.z + 0.5f}, along[3] = {direction.x, direction.y, direction.z};
-    float inverse[3], end = length;
-    for (int a = 0; a < 3; ++a) {
-        inverse[a] = along[a] == 0.f ? 0.f : 1.f / along[a];
-        if (along[a] != 0.f) end = min_f(end, ((along[a] > 0.f ? box.hi[a] : box.lo[a]) - from[a]) * inverse[a]);
+/// A ray through cells (the cubes around voxel centres). Every step is computed from the start: no error builds up.
+struct CellWalk {
+    float from[3], along[3], inverse[3];
+    float at = 0.f;  ///< voxels from the start
+    float end;
+    nanovdb::Coord cell;
+
+    /// From `start` along `direction` (unit) up to `length` voxels or the box's far side.
+    VDBCARVE_HD CellWalk(const SightBox& box, const Vec3& start, const Vec3& direction, float length) : from{start.x + 0.5f, start.y + 0.5f, start.z + 0.5f}, along{direction.x, direction.y, direction.z}, end(length) {
+        for (int a = 0; a < 3; ++a) {
+            inverse[a] = along[a] == 0.f ? 0.f : 1.f / along[a];
+            if (along[a] != 0.f) end = min_f(end, ((along[a] > 0.f ? box.hi[a] : box.lo[a]) - from[a]) * inverse[a]);
+        }
+        cell = nanovdb::Coord(floor_of(from[0]), floor_of(from[1]), floor_of(from[2]));
     }
-    float at = 0.f;
-    nanovdb::Coord cell(floor_of(from[0]), floor_of(from[1]), floor_of(from[2]));
-    while (at <= end) {
-        const int width = cells.width(cell);
-        if (width == 0) return true;
+    /// How far the way goes within the aligned cell of so many voxels that holds `cell`.
+    VDBCARVE_HD float border(int width) const {
         float leave = 1e30f;
         for (int a = 0; a < 3; ++a) {
             if (along[a] == 0.f) continue;
             const int low = cell[a] & ~(width - 1);
             leave = min_f(leave, (static_cast<float>(along[a] > 0.f ? low + width : low) - from[a]) * inverse[a]);
         }
-        at = max_f(leave, at) + kBeyondBorder_vox;
+        return leave;
+    }
+    VDBCARVE_HD void go(float to) {
+        at = to;
         for (int a = 0; a < 3; ++a) cell[a] = floor_of(from[a] + at * along[a]);
+    }
+    VDBCARVE_HD void leave(int width) { go(max_f(border(width), at) + kBeyondBorder_vox); }
+};
+
+/// True when a voxel that stands in the way has its cell on the way from `start` along `direction` (unit) up to `length` voxels.
+VDBCARVE_HD bool is_blocked(SightCells& cells, const SightBox& box, const Vec3& start, const Vec3& direction, float length) {
+    CellWalk walk(box, start, direction, length);
+    while (walk.at <= walk.end) {
+        const int width = cells.width(walk.cell);
+        if (width == 0) return true;
+        walk.leave(width);
     }
     return false;
 }

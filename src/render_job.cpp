@@ -1,0 +1,241 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/render_job.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <optional>
+
+#include "atomic_file.h"
+#include "io_image.h"
+#include "text.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/export.h"
+#include "vdbcarve/pipeline.h"
+#include "vdbcarve/raster.h"
+#include "vdbcarve/video.h"
+#include "vdbcarve/views.h"
+
+namespace vdbcarve {
+namespace {
+
+namespace fs = std::filesystem;
+
+bool is_volume(const fs::path& file) { return file.extension() == ".vdb" || file.extension() == ".nvdb"; }
+bool is_film(const fs::path& file) { return file.extension() == ".mp4" || file.extension() == ".webm"; }
+
+class RenderRun {
+  public:
+    RenderRun(const RenderJob& job, Progress& progress) : job_(job), progress_(progress), options_(job.options) {}
+
+    RenderSummary run() {
+        check();
+        load();
+        if (job_.options.style == RenderStyle::Slice) slices();
+        else if (is_film(job_.output)) film();
+        else if (job_.sheet > 0) sheet();
+        else if (!job_.view.empty()) save(picture(view_camera(view_called_by_user())));
+        else save(picture(orbit_camera(bounds_, up_, job_.orbit)));
+        return summary_;
+    }
+
+  private:
+    void check() {
+        const std::string e = job_.output.extension().string();
+        if (e != ".png" && !is_film(job_.output)) throw UsageError(job_.output.string() + ": the extension says what to make: .png, or .mp4 or .webm (a film)");
+        if (!fs::exists(job_.input)) throw InputError(job_.input.string() + ": no such file or folder");
+        if (is_film(job_.output) && (job_.sheet > 0 || !job_.view.empty() || options_.style == RenderStyle::Slice)) throw UsageError(job_.output.string() + ": a film is one turn around the object; a view, a sheet and slices are pictures. Remedy: -o FILE.png");
+        if (job_.sheet > 0 && !job_.view.empty()) throw UsageError("--sheet and --view: give one of them");
+        if (job_.frames < 2 || job_.frames > 100000 || !(job_.rate_hz > 0 && job_.rate_hz <= 240)) throw UsageError("--frames must be 2..100000, --rate above 0 and at most 240");
+        if (is_film(job_.output) && !options_.background) throw UsageError(job_.output.string() + ": a film has no transparency. Remedy: another --background");
+        if (is_film(job_.output) && (job_.orbit.width_px % 2 || job_.orbit.height_px % 2)) throw UsageError(job_.output.string() + ": sides of a film must be even. Remedy: --size");
+    }
+
+    void load() {
+        fs::path source = job_.input;
+        const bool result = fs::is_directory(source);
+        if (result) {
+            std::vector<const char*> names{"volume.vdb", "hull.vdb"};
+            if (job_.mesh) names = {"mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"};
+            const auto found = std::find_if(names.begin(), names.end(), [&](const char* n) { return fs::exists(job_.input / n); });
+            if (found == names.end()) throw InputError(job_.input.string() + ": holds no " + (job_.mesh ? "mesh" : "volume") + " of vdbcarve's. Remedy: `vdbcarve reconstruct` makes one");
+            source /= *found;
+        }
+        // A result's files lie to its cameras as its report says.
+        if (const fs::path folder = result ? job_.input : source.parent_path(); fs::exists(folder / "report.json")) {
+            frame_ = frame_from_scene(folder, source.filename().string());
+            folder_ = folder.empty() ? fs::path(".") : folder;
+        }
+        std::string up = job_.up;
+        if (is_volume(source)) {
+            openvdb::MetaMap metadata;
+            const openvdb::GridPtrVec grids = source.extension() == ".nvdb" ? read_nvdb(source) : read_vdb(source, &metadata);
+            openvdb::FloatGrid::Ptr surface;
+            openvdb::Vec3SGrid::Ptr color;
+            for (const openvdb::GridBase::Ptr& grid : grids) {
+                if (!surface && grid->isType<openvdb::FloatGrid>() && grid->getGridClass() == openvdb::GRID_LEVEL_SET) surface = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
+                if (!color && grid->isType<openvdb::Vec3SGrid>() && (grid->getName() == "color" || grid->getName() == "Cd")) color = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
+            }
+            if (!surface) throw InputError(source.string() + ": has no level set to render");
+            if (const auto said = metadata["up_axis"]; up.empty() && said && said->str() != "unknown") up = said->str();
+            volume_.emplace(*surface, color.get(), job_.backend, job_.device);
+            bounds_ = volume_->bounds_world();
+            summary_.backend_used = name_of(volume_->backend_used());
+        } else {
+            if (options_.style != RenderStyle::Surface) throw UsageError(source.string() + ": a mesh has no voxels, no thickness and no sections. Remedy: the volume");
+            if (job_.backend == Backend::Cuda) throw UsageError("--backend cuda: meshes are rendered on the CPU. Remedy: without it, or the volume");
+            mesh_ = read_mesh(source);
+            if (mesh_.triangles.empty()) throw InputError(source.string() + ": has no faces");
+            for (const auto& v : mesh_.vertices) bounds_.extend(Vec3d(v[0], v[1], v[2]));
+            if (up.empty() && (source.extension() == ".glb" || source.extension() == ".obj")) up = "y";
+            summary_.backend_used = "cpu";
+        }
+        if (up.empty()) up = "z";
+        up_ = Vec3d::Unit(up.back() - 'x') * (up.front() == '-' ? -1 : 1);
+        options_.up = up_;
+    }
+
+    const Views& views() {
+        if (!views_.views.empty()) return views_;
+        if (!job_.cameras.empty()) {
+            ViewsOptions o;
+            o.scene = fs::is_directory(job_.input) ? job_.input : fs::path(".");
+            o.cameras = fs::absolute(job_.cameras);
+            o.images = job_.images;
+            o.cameras_only = true;
+            views_ = load_views(o, progress_);
+        } else {
+            if (folder_.empty() || !fs::exists(folder_ / "cameras.json")) throw InputError(job_.input.string() + ": has no cameras of its own. Remedy: the result's folder, or --cameras FILE");
+            views_ = result_views(folder_, job_.images, progress_);
+        }
+        return views_;
+    }
+
+    const View& view_called_by_user() {
+        const auto& all = views().views;
+        std::string known;
+        for (const View& v : all) {
+            if (v.name == job_.view || fs::path(v.name).filename() == job_.view || fs::path(v.name).stem() == job_.view) return v;
+            if (known.size() < 200) known += (known.empty() ? "" : ", ") + v.name;
+        }
+        throw UsageError("--view " + job_.view + ": there is no such view; there are " + known);
+    }
+
+    /// A view's camera among the file's coordinates: x_file = scale axes x_scene.
+    Camera view_camera(const View& v) {
+        const auto at = std::find_if(views_.views.begin(), views_.views.end(), [&](const View& o) { return &o == &v; });
+        Camera c = views_.cameras()[static_cast<size_t>(at - views_.views.begin())];
+        Mat3d axes;
+        for (int r = 0; r < 3; ++r)
+            for (int k = 0; k < 3; ++k) axes(r, k) = frame_.axes[static_cast<size_t>(r)][static_cast<size_t>(k)];
+        c.camera_from_world.rotation = c.camera_from_world.rotation * axes.transpose();
+        c.camera_from_world.translation *= frame_.scale;
+        if (c.intrinsics.orthographic) c.intrinsics.fx /= frame_.scale, c.intrinsics.fy /= frame_.scale, c.intrinsics.skew /= frame_.scale;
+        return c;
+    }
+
+    Image8 picture(const Camera& camera) {
+        progress_.check();
+        const auto start = std::chrono::steady_clock::now();
+        Image8 out = volume_ ? render(*volume_, camera, options_) : render(mesh_, camera, options_);
+        summary_.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+        if (volume_) summary_.device_milliseconds = volume_->device_milliseconds();
+        ++summary_.pictures;
+        summary_.width_px = out.width;
+        summary_.height_px = out.height;
+        return out;
+    }
+
+    void save(const Image8& image) {
+        const auto png = io::encode_png(image);
+        write_file(job_.output, png.data(), png.size());
+    }
+
+    static Image8 without_alpha(const Image8& p) {
+        Image8 out(p.width, p.height, 3);
+        for (int y = 0; y < p.height; ++y)
+            for (int x = 0; x < p.width; ++x)
+                for (int c = 0; c < 3; ++c) out.at(x, y, c) = p.at(x, y, c);
+        return out;
+    }
+
+    void film() {
+        progress_.begin("film", static_cast<size_t>(job_.frames));
+        const bool plays = write_film(static_cast<size_t>(job_.frames), [&](size_t i) {
+            OrbitView v = job_.orbit;
+            v.whole_turn = true;
+            v.azimuth_deg -= 360.0 * static_cast<double>(i) / job_.frames;  // the object turns counterclockwise
+            Image8 out = without_alpha(picture(orbit_camera(bounds_, up_, v)));
+            progress_.step();
+            return out;
+        }, job_.rate_hz, job_.output, FilmCodec::Browser);
+        if (!plays) progress_.warn(job_.output.string() + ": this machine's FFmpeg has no H.264, so the film is MPEG-4 part 2, which browsers do not play. Remedy: -o FILE.webm");
+    }
+
+    void sheet() {
+        std::vector<size_t> which;
+        const size_t n = views().views.size(), shown = std::min<size_t>(n, static_cast<size_t>(job_.sheet));
+        for (size_t s = 0; s < shown; ++s) which.push_back(s * n / shown);
+        std::vector<Image8> tiles;
+        std::vector<std::string> names;
+        progress_.begin("sheet", shown);
+        for (const size_t i : which) {
+            const View& v = views_.views[i];
+            const Camera camera = view_camera(v);
+            constexpr double kTileHeight = 300;
+            const Image8 made = picture(scaled(camera, std::min(1.0, kTileHeight / camera.intrinsics.height_px)));
+            Image8 photo;
+            if (!v.image_path.empty()) {
+                try {
+                    photo = load_photo8(v);
+                } catch (const InputError& e) {
+                    progress_.warn(std::string(e.what()) + "; the sheet shows it black");
+                }
+            }
+            tiles.push_back(beside_photo(photo.view(), made.view()));
+            names.push_back(v.name);
+            progress_.step();
+        }
+        save(sheet_of(tiles, names, tiles.size() > 4 ? 3 : 2));
+    }
+
+    void slices() {
+        const size_t axis = static_cast<size_t>(job_.slice_axis[0] - 'x');
+        const Vec3d along = Vec3d::Unit(static_cast<Eigen::Index>(axis));
+        const double lo = bounds_.min()[static_cast<Eigen::Index>(axis)], hi = bounds_.max()[static_cast<Eigen::Index>(axis)];
+        const int n = std::max(1, job_.slices);
+        const int columns = static_cast<int>(std::ceil(std::sqrt(n)));
+        // Many are smaller, so that the sheet is about as large as one.
+        const Camera camera = slice_camera(bounds_, along, up_, std::max(64, std::max(job_.orbit.width_px, job_.orbit.height_px) / columns));
+        std::vector<Image8> tiles;
+        std::vector<std::string> names;
+        for (int i = 0; i < n; ++i) {
+            const double at = n == 1 ? lo + job_.slice_at * (hi - lo) : lo + (i + 0.5) / n * (hi - lo);
+            options_.slice = {along, at};
+            tiles.push_back(picture(camera));
+            names.push_back(text_of("%s = %.4g", job_.slice_axis.c_str(), at));
+        }
+        save(n == 1 ? tiles.front() : sheet_of(tiles, names, columns));
+    }
+
+    const RenderJob& job_;
+    Progress& progress_;
+    RenderOptions options_;
+    RenderSummary summary_;
+    std::optional<RenderVolume> volume_;
+    Mesh mesh_;
+    Box3d bounds_;
+    Vec3d up_ = Vec3d::UnitZ();
+    Views views_;
+    FileFrame frame_;
+    fs::path folder_;  ///< of the result; empty: none
+};
+
+}  // namespace
+
+RenderSummary render_job(const RenderJob& job, Progress& progress) {
+    openvdb::initialize();
+    return RenderRun(job, progress).run();
+}
+
+}  // namespace vdbcarve
