@@ -21,9 +21,10 @@ __global__ void find_box(const Grid::Leaf* leaves, uint32_t count, int* box) {
     }
 }
 
+template <int style>
 __global__ void __launch_bounds__(kTileWidth * kTileHeight) render_pixels(RenderVolume volume, RenderRule rule, uint32_t* pixels) {
     const int x = static_cast<int>(blockIdx.x) * kTileWidth + static_cast<int>(threadIdx.x), y = static_cast<int>(blockIdx.y) * kTileHeight + static_cast<int>(threadIdx.y);
-    if (x < rule.width && y < rule.height) pixels[static_cast<size_t>(y) * rule.width + x] = render_pixel(volume, rule, x, y);
+    if (x < rule.width && y < rule.height) pixels[static_cast<size_t>(y) * rule.width + x] = render_pixel<style>(volume, rule, x, y);
 }
 
 }  // namespace
@@ -85,7 +86,7 @@ const uint8_t* RenderStage::render(const Grid& grid, const ColorBase& base, cons
     uint32_t* pixels = p.pixels.ensure(static_cast<size_t>(rule.width) * rule.height);
     times.measure("render", stream, [&] {
         const dim3 blocks((rule.width + kTileWidth - 1) / kTileWidth, (rule.height + kTileHeight - 1) / kTileHeight), threads(kTileWidth, kTileHeight);
-        render_pixels<<<blocks, threads, 0, stream.get()>>>(volume, rule, pixels);
+        with_style(rule.style, [&](auto style) { render_pixels<decltype(style)::value><<<blocks, threads, 0, stream.get()>>>(volume, rule, pixels); });
         VDBCARVE_LAUNCHED();
     });
     stream.wait();  // the tables are the caller's

@@ -198,12 +198,14 @@ Image8 render(RenderVolume& volume, const Camera& camera, const RenderOptions& o
     rule.srgb = srgb_table().data();
     Image8 out(rule.width, rule.height, 4);
     constexpr int kTile = 16;
-    tbb::parallel_for(tbb::blocked_range2d<int>(0, rule.height, kTile, 0, rule.width, kTile), [&](const tbb::blocked_range2d<int>& range) {
-        for (int y = range.rows().begin(); y < range.rows().end(); ++y)
-            for (int x = range.cols().begin(); x < range.cols().end(); ++x) {
-                const uint32_t pixel = kernel::render_pixel(p.view, rule, x, y);
-                for (int c = 0; c < 4; ++c) out.at(x, y, c) = static_cast<uint8_t>(pixel >> (8 * c));
-            }
+    kernel::with_style(rule.style, [&](auto style) {
+        tbb::parallel_for(tbb::blocked_range2d<int>(0, rule.height, kTile, 0, rule.width, kTile), [&](const tbb::blocked_range2d<int>& range) {
+            for (int y = range.rows().begin(); y < range.rows().end(); ++y)
+                for (int x = range.cols().begin(); x < range.cols().end(); ++x) {
+                    const uint32_t pixel = kernel::render_pixel<decltype(style)::value>(p.view, rule, x, y);
+                    for (int c = 0; c < 4; ++c) out.at(x, y, c) = static_cast<uint8_t>(pixel >> (8 * c));
+                }
+        });
     });
     return out;
 }

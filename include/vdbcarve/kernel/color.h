@@ -388,6 +388,7 @@ VDBCARVE_HD bool interpolate_color(const Read& read, double x, double y, double 
     const float a = static_cast<float>(x - fx), b = static_cast<float>(y - fy), c = static_cast<float>(z - fz);
     const int i = static_cast<int>(fx), j = static_cast<int>(fy), k = static_cast<int>(fz);
     RgbMean mean;
+#pragma unroll 1
     for (int corner = 0; corner < 8; ++corner) {
         const int di = corner >> 2, dj = corner >> 1 & 1, dk = corner & 1;
         const float w = ((di ? a : 1.f - a) * (dj ? b : 1.f - b)) * (dk ? c : 1.f - c);

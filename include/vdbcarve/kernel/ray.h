@@ -43,17 +43,47 @@ VDBCARVE_HD int floor_of(float x) {
     return x < static_cast<float>(i) ? i - 1 : i;
 }
 
+/// The node of 128^3 voxels around a voxel, at hand for the next one. (An accessor of NanoVDB's that has a leaf at hand finds it without looking at the nodes
+/// above, and keeps those of another.)
+template <class Value>
+class BlockCache {
+  public:
+    using Lower = nanovdb::NanoLower<Value>;
+    VDBCARVE_HD explicit BlockCache(const nanovdb::NanoGrid<Value>& grid) : grid_(&grid) {}
+
+    VDBCARVE_HD void find(const nanovdb::Coord& c) {
+        if (known_ && !(((c[0] ^ block_[0]) | (c[1] ^ block_[1]) | (c[2] ^ block_[2])) & ~127)) return;
+        known_ = true;
+        block_ = c;
+        lower = nullptr;
+        const auto accessor = grid_->getAccessor();
+        width = static_cast<int>(accessor.getDim(c, 0));  // the second argument is for rays, and not looked at
+        if (width < 128) lower = accessor.template getNode<Lower>();
+        else active = accessor.probeValue(c, tile);
+    }
+
+    const Lower* lower = nullptr;  ///< null: a tile, of which the rest tells
+    int width = 0;                 ///< 128 or 4096
+    Value tile{};
+    bool active = false;
+
+  private:
+    const nanovdb::NanoGrid<Value>* grid_;
+    nanovdb::Coord block_;
+    bool known_ = false;
+};
+
 /// How wide the empty cell is that holds a voxel (coordinates from the base): 1 to 4096, a power of two, aligned to itself; 0: the voxel stands in the way.
 class SightCells {
   public:
-    VDBCARVE_HD explicit SightCells(const SightGrid& grid) : grid_(grid), first_(grid.grid->tree().template getFirstNode<0>()) {}
+    VDBCARVE_HD explicit SightCells(const SightGrid& grid) : grid_(grid), first_(grid.grid->tree().template getFirstNode<0>()), block_(*grid.grid) {}
 
     VDBCARVE_HD int width(const nanovdb::Coord& from_base) {
         const nanovdb::Coord c(from_base[0] + grid_.base.i, from_base[1] + grid_.base.j, from_base[2] + grid_.base.k);
-        if (!known_ || ((c[0] ^ block_[0]) | (c[1] ^ block_[1]) | (c[2] ^ block_[2])) & ~127) find_block(c);
-        if (!lower_) return width_;
-        const auto* node = lower_->data();
-        const uint32_t n = Lower::CoordToOffset(c);
+        block_.find(c);
+        if (!block_.lower) return block_.tile < grid_.threshold ? 0 : block_.width;
+        const auto* node = block_.lower->data();
+        const uint32_t n = BlockCache<float>::Lower::CoordToOffset(c);
         if (!node->mChildMask.isOn(n)) {
             if (node->mTable[n].value < grid_.threshold) return 0;
             // Without a leaf, 32 or 16 voxels around may be: x leads by four words, y by a quarter of one. A side changes
@@ -82,30 +112,14 @@ class SightCells {
     }
 
   private:
-    using Lower = nanovdb::NanoLower<float>;
-
     template <class Data>
     VDBCARVE_HD static uint64_t word(const Data* node, uint32_t x, uint32_t y) {
         return node->mChildMask.template getWord<uint64_t>(static_cast<int>(x << 2 | y >> 2));
     }
 
-    VDBCARVE_HD void find_block(const nanovdb::Coord& c) {
-        known_ = true;
-        block_ = c;
-        lower_ = nullptr;
-        // A new accessor: one that has a leaf at hand finds it without looking at the nodes above, and keeps those of another.
-        const nanovdb::DefaultReadAccessor<float> accessor = grid_.grid->getAccessor();
-        width_ = static_cast<int>(accessor.getDim(c, 0));  // the second argument is for rays, and not looked at
-        if (width_ < 128) lower_ = accessor.template getNode<Lower>();
-        else if (accessor.getValue(c) < grid_.threshold) width_ = 0;
-    }
-
     const SightGrid& grid_;
     const nanovdb::NanoLeaf<float>* first_;
-    const Lower* lower_ = nullptr;
-    nanovdb::Coord block_;
-    int width_ = 0;
-    bool known_ = false;
+    BlockCache<float> block_;
 };
 
 /// A ray through cells (the cubes around voxel centres). Every step is computed from the start: no error builds up.
