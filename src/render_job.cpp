@@ -9,6 +9,7 @@
 #include "atomic_file.h"
 #include "io_image.h"
 #include "text.h"
+#include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/pipeline.h"
@@ -90,8 +91,8 @@ class RenderRun {
             if (up.empty() && (source.extension() == ".glb" || source.extension() == ".obj")) up = "y";
             summary_.backend_used = "cpu";
         }
-        if (up.empty()) up = "z";
-        up_ = Vec3d::Unit(up.back() - 'x') * (up.front() == '-' ? -1 : 1);
+        if (!up.empty()) up_ = Vec3d::Unit(up.back() - 'x') * (up.front() == '-' ? -1 : 1);
+        else if (!folder_.empty() && fs::exists(folder_ / "cameras.json")) up_ = up_direction("", file_cameras());  // the axis that the cameras stand around
         options_.up = up_;
     }
 
@@ -121,10 +122,17 @@ class RenderRun {
         throw UsageError("--view " + job_.view + ": there is no such view; there are " + known);
     }
 
-    /// A view's camera among the file's coordinates: x_file = scale axes x_scene.
+    /// Cameras among the file's coordinates: x_file = scale axes x_scene.
+    std::vector<Camera> file_cameras() {
+        std::vector<Camera> out = views().cameras();
+        for (Camera& c : out) c = in_file(c);
+        return out;
+    }
     Camera view_camera(const View& v) {
         const auto at = std::find_if(views_.views.begin(), views_.views.end(), [&](const View& o) { return &o == &v; });
-        Camera c = views_.cameras()[static_cast<size_t>(at - views_.views.begin())];
+        return in_file(views_.cameras()[static_cast<size_t>(at - views_.views.begin())]);
+    }
+    Camera in_file(Camera c) const {
         Mat3d axes;
         for (int r = 0; r < 3; ++r)
             for (int k = 0; k < 3; ++k) axes(r, k) = frame_.axes[static_cast<size_t>(r)][static_cast<size_t>(k)];

@@ -247,6 +247,9 @@ expect 0 'each, 6 of them' render out -o turn.mp4 --frames 6 --size 64x64 --samp
 check 'a film is written' test -s turn.mp4
 expect 2 'must be even' render out -o odd.mp4 --size 65x64
 expect 2 'there is no such view' render out -o view.png --view 99
+expect 0 'report.html: [0-9.]+ MB' report out
+check 'the page is there' grep -q 'worst first' out/report.html
+expect 3 'report.json: is not there' report scene
 expect 2 'the extension says' render out -o picture.jpg
 expect 2 'no voxels' render out/mesh.ply -o bad.png --style voxels
 expect 3 'no such file' render nowhere -o bad.png

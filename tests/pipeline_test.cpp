@@ -11,6 +11,7 @@
 #include "vdbcarve/evaluate.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/mesh.h"
+#include "vdbcarve/report.h"
 
 namespace vdbcarve::test {
 namespace {
@@ -614,6 +615,38 @@ TEST(Pipeline, UpAgainstTheCamerasIsSaid) {
     Job job("cup");
     job.options.views.up = "-z";
     EXPECT_NE(job.run()["warnings"].dump().find("--up z"), std::string::npos);
+}
+
+// One file, nothing fetched: every view with its photograph, worst first, the model in it, every warning.
+TEST(Pipeline, AReportSaysWhatTheResultIs) {
+    Job job("cup", true);
+    job.options.views.up = "-z";  // is warned of
+    const json r = job.run();
+    Progress quiet;
+    const std::string page = report_html(job.folder / "out", {}, quiet);
+    EXPECT_LT(page.size(), 25'000'000u);
+    size_t at = page.find("worst first");
+    ASSERT_NE(at, std::string::npos);
+    std::vector<std::pair<double, std::string>> worst;
+    for (const json& v : r["views"]) worst.emplace_back(v["silhouette_iou"], v["name"]);
+    std::sort(worst.begin(), worst.end());
+    for (const auto& [iou, name] : worst) {
+        at = page.find("alt=\"" + name + "\" src=\"data:image/jpeg;base64,", at);
+        ASSERT_NE(at, std::string::npos) << name;
+    }
+    EXPECT_NE(page.find("up is said to be -z"), std::string::npos);
+    EXPECT_EQ(page.find("data:model/gltf-binary;base64,") != std::string::npos, report_has_viewer());
+    EXPECT_NE(page.find("data:image/png;base64,"), std::string::npos);
+    // Nothing of ours points outside. (The viewer's own text names its decoders' homes, which it asks only for compressed models.)
+    const std::string ours = page.substr(page.find("<body>"));
+    EXPECT_EQ(ours.find("http"), std::string::npos);
+    ReportOptions small;
+    small.most_faces = 0;
+    small.most_photos = 3;
+    const std::string less = report_html(job.folder / "out", small, quiet);
+    EXPECT_EQ(less.find("gltf-binary;base64"), std::string::npos);
+    EXPECT_NE(less.find("5 more views"), std::string::npos);
+    EXPECT_THROW(report_html(job.folder / "scene", {}, quiet), InputError);
 }
 
 TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {

@@ -39,6 +39,7 @@ Command add_check(CLI::App& program);
 Command add_evaluate(CLI::App& program);
 Command add_export(CLI::App& program);
 Command add_render(CLI::App& program);
+Command add_report(CLI::App& program);
 /// `name` is a stage of reconstruct that is to be done anew, with other options.
 Command add_again(CLI::App& program, const char* name, const char* what, const char* example);
 

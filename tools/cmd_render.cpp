@@ -31,7 +31,7 @@ Command add_render(CLI::App& program) {
     app->add_option("--view", o.view, "an input view by name: what its camera would see, pixel for pixel")->group(where);
     app->add_option("--cameras", o.cameras, "camera file for --view and --sheet (default: the result's)")->group(where);
     app->add_option("--images", o.images, "folder of photographs for --sheet (default: where the result says)")->group(where);
-    app->add_option("--up", o.up, "world up axis (default: as the result says, else z)")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group(where);
+    app->add_option("--up", o.up, "world up axis (default: as the result says, else what its cameras stand around, else z)")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group(where);
     const char* how = "How";
     app->add_option("--size", raw->size, "WIDTHxHEIGHT in pixels")->default_str("1024x1024")->group(how);
     app->add_option("--samples", o.options.samples, "rays along a pixel's side")->capture_default_str()->check(CLI::Range(1, 16))->group(how);

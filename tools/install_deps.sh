@@ -19,13 +19,16 @@ elif [ $# -gt 0 ]; then
   exit 2
 fi
 
-# npm's package of Khronos' glTF validator goes into the build tree: it needs no place of its own on the machine.
-install_validator() {
-  [ "$dev" = yes ] || return 0
+# npm's packages go into the build tree: they need no place of their own on the machine. model-viewer shows models in reports, Khronos' validator checks .glb files.
+install_node_packages() {
   cd "$(dirname "$0")/.."
-  [ -d build/node/node_modules/gltf-validator ] && return 0
-  timeout 120 npm install --silent --no-fund --no-audit --prefix build/node gltf-validator@2.0.0-dev.3.10 ||
-    echo "install_deps: npm could not fetch gltf-validator; the test that asks it is skipped"
+  command -v npm >/dev/null || { echo "install_deps: there is no npm: reports will show a picture instead of the model in 3-D (apt install npm, then this again)"; return 0; }
+  local wanted=()
+  [ -d build/node/node_modules/@google/model-viewer ] || wanted+=(@google/model-viewer@4.1.0)
+  [ "$dev" = no ] || [ -d build/node/node_modules/gltf-validator ] || wanted+=(gltf-validator@2.0.0-dev.3.10)
+  [ ${#wanted[@]} -gt 0 ] || return 0
+  timeout 180 npm install --silent --no-fund --no-audit --prefix build/node "${wanted[@]}" ||
+    echo "install_deps: npm could not fetch ${wanted[*]}; what needs them is left out, or skipped"
 }
 
 missing=()
@@ -33,7 +36,7 @@ for package in "${packages[@]}"; do
   dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
 done
 if [ ${#missing[@]} -eq 0 ]; then
-  install_validator
+  install_node_packages
   echo "install_deps: everything is there"
   exit 0
 fi
@@ -47,5 +50,5 @@ fi
 echo "install_deps: installing ${missing[*]}"
 "${as_root[@]}" apt-get update -qq
 "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
-install_validator
+install_node_packages
 echo "install_deps: done"

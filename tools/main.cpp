@@ -139,6 +139,7 @@ int run_program(const std::vector<std::string>& words) {
         "  vdbcarve reconstruct shoot --units mm --dcc blender -o out   volume and meshes in Blender's axes and metres\n"
         "  vdbcarve export out -o volume.nvdb model.stl      other formats\n"
         "  vdbcarve render out -o turn.mp4                   a film of one turn; .png: a picture\n"
+        "  vdbcarve report out                               a page about it: the model in 3-D, which view is wrong, how long it took\n"
         "  vdbcarve bench                                    how fast this machine carves"
         "\n"
         "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");
@@ -150,7 +151,7 @@ int run_program(const std::vector<std::string>& words) {
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
     std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_bench(program), cli::add_board(program),
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_report(program), cli::add_bench(program), cli::add_board(program),
                                        cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
                                        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
                                        cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
