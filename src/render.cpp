@@ -127,6 +127,10 @@ kernel::RenderRule render_rule(const RenderFrame& frame, const Camera& camera, c
     rule.plane[3] = static_cast<float>((normal.dot(frame.origin_world) - offset) / frame.voxel_size);
     rule.line_vox = 0.6f;
     rule.thickness_vox = 0.12f * side;
+    if (o.style == RenderStyle::XRay) {  // ink that stands out
+        const bool dark_behind = o.background && (*o.background)[0] + (*o.background)[1] + (*o.background)[2] < 3 * 128;
+        rule.plain = dark_behind ? Rgb{0.9f, 0.9f, 0.9f} : Rgb{0.01f, 0.02f, 0.03f};
+    }
     rule.opaque = o.background.has_value();
     if (o.background) rule.background = {static_cast<float>(linear_from_srgb((*o.background)[0] / 255.0)), static_cast<float>(linear_from_srgb((*o.background)[1] / 255.0)), static_cast<float>(linear_from_srgb((*o.background)[2] / 255.0))};
     return rule;
