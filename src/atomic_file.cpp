@@ -1,7 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "atomic_file.h"
 
+#include <signal.h>
 #include <unistd.h>
+
+#include <cerrno>
+#include <vector>
 
 #include "vdbcarve/error.h"
 
@@ -9,8 +13,12 @@ namespace vdbcarve {
 
 namespace fs = std::filesystem;
 
+namespace {
+constexpr const char* kPart = ".part";  ///< before the process's number
+}
+
 AtomicFile::AtomicFile(fs::path file) : file_(std::move(file)) {
-    temporary_ = file_.parent_path() / ("." + file_.filename().string() + ".part" + std::to_string(getpid()));
+    temporary_ = file_.parent_path() / ("." + file_.filename().string() + kPart + std::to_string(getpid()));
     out_.open(temporary_, std::ios::binary | std::ios::trunc);
     if (!out_) throw OutputError(file_.string() + ": cannot be written (is the folder there, writable, and not full?)");
 }
@@ -34,6 +42,21 @@ void AtomicFile::commit() {
     fs::rename(temporary_, file_, error);
     if (error) throw OutputError(file_.string() + ": cannot be put in place: " + error.message());
     done_ = true;
+}
+
+void remove_left_overs(const fs::path& folder) {
+    std::vector<fs::path> old;
+    std::error_code ignored;
+    for (const auto& entry : fs::directory_iterator(folder, ignored)) {
+        const std::string name = entry.path().filename().string();
+        const size_t at = name.rfind(kPart);
+        if (name[0] != '.' || at == std::string::npos || !entry.is_regular_file(ignored)) continue;
+        const std::string digits = name.substr(at + std::string(kPart).size());
+        if (digits.empty() || digits.size() > 9 || digits.find_first_not_of("0123456789") != std::string::npos) continue;
+        const pid_t maker = static_cast<pid_t>(std::stol(digits));
+        if (maker != getpid() && kill(maker, 0) != 0 && errno == ESRCH) old.push_back(entry.path());
+    }
+    for (const fs::path& file : old) fs::remove(file, ignored);
 }
 
 void write_file(const fs::path& file, const void* data, size_t bytes) {

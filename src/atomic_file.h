@@ -30,6 +30,9 @@ class AtomicFile {
     bool done_ = false;
 };
 
+/// Removes from a folder (not from those in it) the temporary files of processes that are no more.
+void remove_left_overs(const std::filesystem::path& folder);
+
 void write_file(const std::filesystem::path& file, const std::string& content);
 void write_file(const std::filesystem::path& file, const void* data, size_t bytes);
 

@@ -118,7 +118,9 @@ FieldPlan plan_fields(const std::vector<Camera>& cameras, const CarveOptions& op
     plan.scale = options.occupancy ? 1 : (scale > 0 ? scale : std::max(1, static_cast<int>(fewest / kSamplesPerVoxel)));
     // A leaf (its voxel centres reach sqrt(3) * 3.5 voxels from its middle) is decided by the samples, larger nodes by blocks.
     const double band_vox = options.occupancy ? 0 : options.half_width_vox;
-    plan.reach_samples = std::clamp(std::ceil((band_vox + std::sqrt(3.0) * 3.5) * most / plan.scale * 1.05 + kernel::kFieldSlop_px + 1), 8.0, 0.9 * kernel::kMaxReach_px);
+    // In whole steps, so that a view that comes later seldom changes it.
+    const double reach = (band_vox + std::sqrt(3.0) * 3.5) * most / plan.scale * 1.05 + kernel::kFieldSlop_px + 1;
+    plan.reach_samples = std::clamp(8 * std::ceil(reach / 8), 8.0, 0.9 * kernel::kMaxReach_px);
     return plan;
 }
 
@@ -153,6 +155,13 @@ struct Found {
     std::vector<std::pair<Coord, int>> inside;  // whole nodes (origin, size), for occupancy
     std::vector<OpenNode> open;                 // before the last batch
     size_t node_tests = 0, voxel_lookups = 0, surface = 0, capped = 0, negative = 0;
+};
+
+/// What adding views to a hull found below one root node.
+struct Extended {
+    Found found;                      ///< leaves that the new views cut
+    std::vector<const Leaf*> kept;    ///< leaves of the old hull that no new view says anything about
+    std::vector<OpenNode> again;      ///< to be asked of all views
 };
 
 struct NodeState {
@@ -212,6 +221,25 @@ class Carver {
 
     const IndexBox& range() const { return range_; }
 
+    /// Walks a node of a hull that the views i < known made: see extend_hull.
+    void extend(const openvdb::FloatTree& hull, size_t known, const OpenNode& node, Extended& out) const {
+        std::vector<std::vector<uint16_t>> lists;
+        Walk walk{out.found, lists, {}};
+        const auto need_known = static_cast<int>(plan_carve(known, options_).need_seen);
+        // Of more views more must see a place: where as many more as there are, the need_seen-th smallest distance to a frame only grows.
+        const bool unseen_grows = need_seen_ - need_known >= static_cast<int>(batch_.size());
+        extend(walk, {hull, static_cast<int>(known), need_known, unseen_grows}, {{node.origin[0], node.origin[1], node.origin[2]}, node.size, batch_.data(), static_cast<int>(batch_.size()), 0, false, false}, false, out);
+    }
+
+    /// Surface, caps and inside of a leaf that is kept.
+    void count(const Leaf& leaf, Found& found) const {
+        const Coord origin = leaf.origin();
+        const int at[3] = {origin.x(), origin.y(), origin.z()};
+        const double centre = 3.5;
+        const bool in_box = box_around(at[0] + centre, at[1] + centre, at[2] + centre, std::sqrt(3.0) * centre * options_.lattice.voxel_size) == NodeAnswer::In;
+        count_values(found, at, in_box, leaf.buffer().data());
+    }
+
     /// Asks the batch's views about a node, from the coarse to the fine.
     void ask(OpenNode node, Found& found) const {
         std::vector<std::vector<uint16_t>> lists(8);
@@ -232,23 +260,148 @@ class Carver {
         std::vector<Cut> cuts;                      ///< those of the last list made
     };
 
-    void descend(Walk& walk, const NodeState& node, size_t level, std::unique_ptr<OpenLeaf> leaf = {}) const {
+    /// The bounds, about a ball around an index position: beyond their band, deeper inside than it, or neither for certain.
+    NodeAnswer box_around(double ci, double cj, double ck, double radius) const {
+        const Vec3d c = options_.lattice.world_from_index(Vec3d(ci, cj, ck));
+        const double p[3] = {c.x(), c.y(), c.z()};
+        const double d = kernel::box_distance(p, lo_, hi_);
+        const double rounding = 1e-3 * options_.lattice.voxel_size;
+        if (d - radius - rounding > band_) return NodeAnswer::Out;
+        return d + radius + rounding < -band_ ? NodeAnswer::In : NodeAnswer::Mixed;
+    }
+
+    bool out_of_range(const NodeState& node) const {
         for (int a = 0; a < 3; ++a) {
             const auto s = static_cast<size_t>(a);
-            if (node.origin[a] >= range_.max[s] || node.origin[a] + node.size <= range_.min[s]) return;
+            if (node.origin[a] >= range_.max[s] || node.origin[a] + node.size <= range_.min[s]) return true;
         }
+        return false;
+    }
+
+    /// The child's origin, in an order that is the same everywhere.
+    static NodeState child_of(const NodeState& node, int child) {
+        NodeState out = node;
+        out.size = node.size / 2;
+        for (int a = 0; a < 3; ++a) out.origin[a] = node.origin[a] + ((child >> (2 - a)) & 1) * out.size;
+        return out;
+    }
+
+    // ----------------------------------------------------------------------------- more views
+
+    struct Before {
+        const openvdb::FloatTree& hull;
+        int views;  ///< that made it
+        int need_seen;
+        bool unseen_grows;
+    };
+
+    /// `grows`: on this node no value of the old hull can be too large, so that the new views, and the frames of all, can only raise it.
+    void extend(Walk& walk, const Before& before, const NodeState& node, bool grows, Extended& out) const {
+        if (out_of_range(node)) return;
+        const double half = 0.5 * (node.size - 1), h = options_.lattice.voxel_size;
+        const double ci = node.origin[0] + half, cj = node.origin[1] + half, ck = node.origin[2] + half;
+        const double radius = std::sqrt(3.0) * half * h;
+        NodeState state = node;
+        if (!state.in_box) {
+            const NodeAnswer box = box_around(ci, cj, ck, radius);
+            if (box == NodeAnswer::Out) return;
+            state.in_box = box == NodeAnswer::In;
+        }
+        const auto deeper = [&] {
+            for (int child = 0; child < 8; ++child) extend(walk, before, child_of(state, child), grows, out);
+        };
+        const auto ask_again = [&] { out.again.push_back({{node.origin[0], node.origin[1], node.origin[2]}, node.size, 0, {}}); };
+        if (!state.seen || !grows) {
+            int surely_then = 0, maybe_then = 0, surely = 0, maybe = 0;
+            walk.found.node_tests += views_.size();
+            for (size_t v = 0; v < views_.size(); ++v) {
+                const NodeAnswer unseen = kernel::node_answers(views_[v], kernel::node_ball(views_[v], ci, cj, ck, radius), near_, band_).unseen;
+                surely += unseen == NodeAnswer::In;
+                maybe += unseen != NodeAnswer::Out;
+                if (static_cast<int>(v) == before.views - 1) surely_then = surely, maybe_then = maybe;
+            }
+            if (maybe < need_seen_) return;  // nothing is here, whatever was
+            state.seen = surely >= need_seen_;
+            grows = before.unseen_grows || surely_then >= before.need_seen;
+            if (!grows) {
+                const bool appears = maybe_then < before.need_seen && state.seen;
+                if (appears || node.size == 8) ask_again();
+                else deeper();
+                return;
+            }
+        }
+        if (is_outside(before.hull, node)) return;
+        walk.cuts.clear();
+        walk.found.node_tests += static_cast<size_t>(node.view_count);
+        int misses = 0;
+        for (int i = 0; i < node.view_count; ++i) {
+            const CarveView& view = views_[node.views[i]];
+            const kernel::NodeAnswers answers = kernel::node_answers(view, kernel::node_ball(view, ci, cj, ck, radius), near_, band_);
+            misses += answers.hull == NodeAnswer::Out;
+            if (answers.hull == NodeAnswer::Mixed) walk.cuts.push_back({answers.silhouette_px, node.views[i], answers.clear_of_frame});
+        }
+        const bool untouched = misses == 0 && walk.cuts.empty();
+        if (misses > options_.max_misses) return;
+        if (untouched && state.seen) {
+            keep(before.hull, node, out.kept);
+        } else if (options_.max_misses > 0 && !untouched) {
+            // Which of the views' values counts depends on all of them.
+            if (walk.cuts.empty() || node.size == 8) ask_again();
+            else deeper();
+        } else if (node.size > 8) {
+            deeper();
+        } else {
+            raise(walk, before.hull, state, out);
+        }
+    }
+
+    /// A leaf of the old hull, or of its inside, that nothing but the views that cut it, or a frame, can have changed.
+    void raise(Walk& walk, const openvdb::FloatTree& hull, const NodeState& node, Extended& out) const {
+        OpenLeaf leaf;
+        leaf.largest.assign(static_cast<size_t>(options_.max_misses + 1) * kLeafVoxels, -band_f_);
+        if (const Leaf* old = hull.probeConstLeaf(Coord(node.origin[0], node.origin[1], node.origin[2]))) {
+            const float* from = old->buffer().data();
+            float* to = leaf.largest.data() + options_.max_misses * kLeafVoxels;  // the one that counts
+            for_each_row([&](int at, int in_cell) { std::copy_n(from + at, 4, to + in_cell); });
+        }
+        std::sort(walk.cuts.begin(), walk.cuts.end(), before_other);
+        if (ask_leaf(walk, node, leaf)) finish_leaf(out.found, node, leaf);
+    }
+
+    using Block = openvdb::FloatTree::RootNodeType::ChildNodeType::ChildNodeType;  ///< 16 x 16 x 16 leaves
+
+    static bool is_outside(const openvdb::FloatTree& hull, const NodeState& node) {
+        const Coord origin(node.origin[0], node.origin[1], node.origin[2]);
+        if (node.size > 8 && hull.probeConstNode<Block>(origin)) return false;  // some of it may not be
+        return !hull.probeConstLeaf(origin) && hull.getValue(origin) > 0;
+    }
+
+    static void keep(const openvdb::FloatTree& hull, const NodeState& node, std::vector<const Leaf*>& kept) {
+        const Coord origin(node.origin[0], node.origin[1], node.origin[2]);
+        const Block* block = hull.probeConstNode<Block>(origin);
+        if (!block) return;
+        for (int i = 0; i < node.size; i += 8)
+            for (int j = 0; j < node.size; j += 8)
+                for (int k = 0; k < node.size; k += 8)
+                    if (const Leaf* leaf = block->probeConstLeaf(origin.offsetBy(i, j, k))) kept.push_back(leaf);
+    }
+
+    /// Views that show most background first: what they carve need not be asked again.
+    static bool before_other(const Cut& a, const Cut& b) { return a.silhouette_px != b.silhouette_px ? a.silhouette_px > b.silhouette_px : a.view < b.view; }
+
+    // ----------------------------------------------------------------------------- the walk
+
+    void descend(Walk& walk, const NodeState& node, size_t level, std::unique_ptr<OpenLeaf> leaf = {}) const {
+        if (out_of_range(node)) return;
         const double half = 0.5 * (node.size - 1), h = options_.lattice.voxel_size;
         const double ci = node.origin[0] + half, cj = node.origin[1] + half, ck = node.origin[2] + half;
         const double radius = std::sqrt(3.0) * half * h;
 
         NodeState state = node;
         if (!state.in_box) {
-            const Vec3d c = options_.lattice.world_from_index(Vec3d(ci, cj, ck));
-            const double p[3] = {c.x(), c.y(), c.z()};
-            const double d = kernel::box_distance(p, lo_, hi_);
-            const double rounding = 1e-3 * h;
-            if (d - radius - rounding > band_) return;
-            state.in_box = d + radius + rounding < -band_;
+            const NodeAnswer box = box_around(ci, cj, ck, radius);
+            if (box == NodeAnswer::Out) return;
+            state.in_box = box == NodeAnswer::In;
         }
 
         walk.cuts.clear();
@@ -295,9 +448,7 @@ class Carver {
                 const size_t ranks = options_.occupancy ? 1 : static_cast<size_t>(options_.max_misses) + 1;
                 leaf->largest.assign(ranks * kLeafVoxels, options_.occupancy ? 0.f : -band_f_);
             }
-            // Views that show most background first: what they carve need not be asked again.
-            std::sort(walk.cuts.begin(), walk.cuts.end(),
-                      [](const Cut& a, const Cut& b) { return a.silhouette_px != b.silhouette_px ? a.silhouette_px > b.silhouette_px : a.view < b.view; });
+            std::sort(walk.cuts.begin(), walk.cuts.end(), before_other);
             const bool some_left = options_.occupancy ? ask_binary(walk, state, *leaf) : ask_leaf(walk, state, *leaf);
             if (!some_left) return;
             if (!last_) walk.found.open.push_back({{node.origin[0], node.origin[1], node.origin[2]}, node.size, state.certain_misses, std::move(leaf)});
@@ -309,11 +460,8 @@ class Carver {
         walk.lists[level].clear();
         for (const Cut& cut : walk.cuts) walk.lists[level].push_back(cut.view);
         state.view_count = static_cast<int>(walk.cuts.size());
-        const int half_size = node.size / 2;
         for (int child = 0; child < 8; ++child) {
-            NodeState next = state;
-            next.size = half_size;
-            for (int a = 0; a < 3; ++a) next.origin[a] = node.origin[a] + ((child >> (2 - a)) & 1) * half_size;
+            NodeState next = child_of(state, child);
             // The list of this level may move when a deeper level grows the outer vector, so it is looked up anew.
             next.views = walk.lists[level].data();
             descend(walk, next, level + 1);
@@ -397,38 +545,44 @@ class Carver {
             else std::fill_n(value + at, 4, band_f_);
         });
         if (!node.seen) raise_unseen(found, node, value);
-        const float surface = 0.5f * static_cast<float>(options_.lattice.voxel_size);
-        if (!node.in_box) {
-            for (int at = 0; at < kLeafVoxels; ++at) {
-                const Vec3d p = world_of(node.origin, at >> 6, at >> 3 & 7, at & 7);
-                const double xyz[3] = {p.x(), p.y(), p.z()};
-                const float box = kernel::clamp_f(static_cast<float>(kernel::box_distance(xyz, lo_, hi_)), -band_f_, band_f_);
-                found.capped += box > value[at] && std::fabs(box) <= surface;
-                value[at] = kernel::max_f(value[at], box);
-            }
-        }
+        if (!node.in_box)
+            for (int at = 0; at < kLeafVoxels; ++at) value[at] = kernel::max_f(value[at], box_value(node.origin, at));
         openvdb::util::NodeMask<3> active;
         uint64_t any = 0;
-        size_t negative = 0, near_surface = 0;
         for (int i = 0; i < 8; ++i) {
             uint64_t word = 0;
             for (int jk = 0; jk < 64; ++jk) {
                 const float v = value[i << 6 | jk];
                 word |= static_cast<uint64_t>(v > -band_f_ && v < band_f_) << jk;
-                negative += v < 0;
-                near_surface += std::fabs(v) <= surface;
             }
             active.getWord<openvdb::Index64>(static_cast<openvdb::Index>(i)) = word;
             any |= word;
         }
-        found.negative += negative;
+        count_values(found, node.origin, node.in_box, value);
         if (!any) return;
-        found.surface += near_surface;
         auto leaf = std::make_unique<Leaf>(openvdb::PartialCreate(), Coord(node.origin[0], node.origin[1], node.origin[2]), band_f_, false);
         leaf->allocate();
         std::copy_n(value, kLeafVoxels, leaf->buffer().data());
         leaf->setValueMask(active);
         found.leaves.push_back(std::move(leaf));
+    }
+
+    /// Distance of a leaf's voxel to the bounds, in the band.
+    float box_value(const int origin[3], int at) const {
+        const Vec3d p = world_of(origin, at >> 6, at >> 3 & 7, at & 7);
+        const double xyz[3] = {p.x(), p.y(), p.z()};
+        return kernel::clamp_f(static_cast<float>(kernel::box_distance(xyz, lo_, hi_)), -band_f_, band_f_);
+    }
+
+    /// What statistics say of a finished leaf. Where the value is the bounds' own, the surface is their cap.
+    void count_values(Found& found, const int origin[3], bool in_box, const float* value) const {
+        const float surface = 0.5f * static_cast<float>(options_.lattice.voxel_size);
+        for (int at = 0; at < kLeafVoxels; ++at) {
+            found.negative += value[at] < 0;
+            const bool near_surface = std::fabs(value[at]) <= surface;
+            found.surface += near_surface;
+            found.capped += near_surface && !in_box && value[at] == box_value(origin, at);
+        }
     }
 
     /// v = max(v, the need_seen-th smallest distance to the views' frames).
@@ -601,28 +755,27 @@ void explain_empty(const std::vector<CarveInput>& inputs, const CarveOptions& op
 
 namespace {
 
-/// One batch or several: `fields_of` is null when the inputs hold all fields.
-CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource* fields_of, const CarveOptions& options, Progress& progress) {
-    check_carve(inputs, options);
-    Carver carver(inputs, options);
-    const IndexBox& range = carver.range();
-
-    // Root nodes large enough to skip empty space, small enough to share out: the result does not depend on it.
+/// Root nodes large enough to skip empty space, small enough to share out: the result does not depend on it.
+std::vector<OpenNode> root_nodes(const IndexBox& range) {
     const auto roots_of = [&](int size) {
-        std::vector<std::array<int, 3>> out;
+        std::vector<OpenNode> out;
         const auto down = [size](int x) { return (x >= 0 ? x / size : -((size - 1 - x) / size)) * size; };
         for (int i = down(range.min[0]); i < range.max[0]; i += size)
             for (int j = down(range.min[1]); j < range.max[1]; j += size)
-                for (int k = down(range.min[2]); k < range.max[2]; k += size) out.push_back({i, j, k});
+                for (int k = down(range.min[2]); k < range.max[2]; k += size) out.push_back({{i, j, k}, size, 0, {}});
         return out;
     };
-    int root_size = 128;
-    std::vector<std::array<int, 3>> roots = roots_of(root_size);
-    while (roots.size() < 256 && root_size > 16) roots = roots_of(root_size /= 2);
+    int size = 128;
+    std::vector<OpenNode> roots = roots_of(size);
+    while (roots.size() < 256 && size > 16) roots = roots_of(size /= 2);
+    return roots;
+}
 
-    std::vector<Found> found(roots.size());
+/// All views about some nodes. One batch or several: `fields_of` is null when the inputs hold all fields.
+std::vector<Found> ask_nodes(Carver& carver, std::vector<OpenNode> nodes, const std::vector<CarveInput>& inputs, size_t batch, const FieldSource* fields_of, const CarveOptions& options, Progress& progress) {
+    std::vector<Found> found(nodes.size());
     const size_t batches = fields_of ? (inputs.size() + batch - 1) / batch : 1;
-    progress.begin("carve", roots.size() * batches);
+    progress.begin("carve", nodes.size() * batches);
     std::vector<SampledField> ignored(inputs.size());
     for (size_t b = 0; b < batches; ++b) {
         std::vector<DistanceField> fields;
@@ -635,10 +788,10 @@ CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const Field
             }
             carver.set_batch(first, last);
         }
-        tbb::parallel_for(size_t{0}, roots.size(), [&](size_t r) {
+        tbb::parallel_for(size_t{0}, nodes.size(), [&](size_t r) {
             Found& f = found[r];
             if (b == 0) {
-                carver.ask({{roots[r][0], roots[r][1], roots[r][2]}, root_size, 0, {}}, f);
+                carver.ask(std::move(nodes[r]), f);
             } else {
                 std::vector<OpenNode> open = std::move(f.open);
                 f.open.clear();
@@ -651,19 +804,35 @@ CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const Field
             carver.drop_silhouette(i, ignored[i]);
         }
     }
+    return found;
+}
 
-    CarveResult result;
+/// Sums of what was counted.
+struct Sums {
     size_t surface = 0, capped = 0, negative = 0;
-    for (Found& f : found) {
-        result.statistics.node_tests += f.node_tests;
-        result.statistics.voxel_lookups += f.voxel_lookups;
-        result.statistics.leaves += f.leaves.size() + f.mask_leaves.size();
-        surface += f.surface;
-        capped += f.capped;
-        negative += f.negative;
+};
+
+Sums sum_up(const std::vector<Found>& found, CarveStatistics& statistics) {
+    Sums sums;
+    for (const Found& f : found) {
+        statistics.node_tests += f.node_tests;
+        statistics.voxel_lookups += f.voxel_lookups;
+        statistics.leaves += f.leaves.size() + f.mask_leaves.size();
+        sums.surface += f.surface;
+        sums.capped += f.capped;
+        sums.negative += f.negative;
     }
-    result.statistics.inside_voxels = negative;
-    result.statistics.clipped_share = surface ? static_cast<double>(capped) / static_cast<double>(surface) : 0;
+    statistics.inside_voxels = sums.negative;
+    statistics.clipped_share = sums.surface ? static_cast<double>(sums.capped) / static_cast<double>(sums.surface) : 0;
+    return sums;
+}
+
+CarveResult run(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource* fields_of, const CarveOptions& options, Progress& progress) {
+    check_carve(inputs, options);
+    Carver carver(inputs, options);
+    std::vector<Found> found = ask_nodes(carver, root_nodes(carver.range()), inputs, batch, fields_of, options, progress);
+    CarveResult result;
+    const size_t negative = sum_up(found, result.statistics).negative;
 
     if (options.occupancy) {
         result.occupancy = empty_occupancy(options);
@@ -744,6 +913,67 @@ CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch
     std::vector<CarveInput> bare = inputs;
     for (CarveInput& input : bare) input.field = nullptr;
     return run(bare, batch, &fields_of, options, progress);
+}
+
+CarveResult extend_hull(openvdb::FloatGrid::Ptr hull, size_t known, const std::vector<CarveInput>& inputs, const FieldSource& fields_of, const CarveOptions& options, Progress& progress) {
+    check_carve(inputs, options);
+    if (options.occupancy || options.brick) throw UsageError("extend_hull: of a whole hull only, neither of an occupancy nor of a brick");
+    if (known == 0 || known >= inputs.size()) throw UsageError("extend_hull: of " + std::to_string(inputs.size()) + " views " + std::to_string(known) + " are said to have made the hull");
+    for (size_t i = known; i < inputs.size(); ++i)
+        if (!inputs[i].field) throw UsageError("extend_hull: view " + inputs[i].name + " has no distance field");
+    const auto band = static_cast<float>(options.half_width_vox * options.lattice.voxel_size);
+    if (hull->background() != band || hull->transform() != *options.lattice.transform()) throw UsageError("extend_hull: the hull lies on another lattice");
+
+    // Known views are asked for their frames only, in the pixels of the fields.
+    DistanceField frame_only;
+    frame_only.scale = inputs[known].field->scale;
+    std::vector<CarveInput> framed = inputs;
+    for (CarveInput& input : framed)
+        if (!input.field) input.field = &frame_only;
+    Carver carver(framed, options);
+    carver.set_batch(known, inputs.size());
+    const std::vector<OpenNode> roots = root_nodes(carver.range());
+    std::vector<Extended> extended(roots.size());
+    progress.begin("carve", roots.size());
+    tbb::parallel_for(size_t{0}, roots.size(), [&](size_t r) {
+        carver.extend(hull->tree(), known, roots[r], extended[r]);
+        for (const Leaf* leaf : extended[r].kept) carver.count(*leaf, extended[r].found);
+        progress.step();
+    });
+    std::vector<Found> found;
+    std::vector<OpenNode> again;
+    std::vector<const Leaf*> kept;
+    for (Extended& e : extended) {
+        found.push_back(std::move(e.found));
+        std::move(e.again.begin(), e.again.end(), std::back_inserter(again));
+        kept.insert(kept.end(), e.kept.begin(), e.kept.end());
+    }
+    if (!again.empty()) {
+        Carver all(inputs, options);
+        for (Found& f : ask_nodes(all, std::move(again), inputs, inputs.size(), &fields_of, options, progress)) found.push_back(std::move(f));
+    }
+    CarveResult result;
+    const size_t negative = sum_up(found, result.statistics).negative;
+    if (negative == 0 && !options.allow_empty) {
+        std::vector<CarveInput> blamed = inputs;
+        const std::vector<DistanceField> fields = fields_of(0, inputs.size());
+        for (size_t i = 0; i < inputs.size(); ++i) blamed[i].field = &fields[i];
+        explain_empty(blamed, options);
+    }
+    result.hull = empty_hull(options);
+    openvdb::FloatTree& tree = result.hull->tree();
+    std::sort(kept.begin(), kept.end());
+    std::vector<Leaf*> old;
+    hull->tree().stealNodes(old);
+    for (Leaf* leaf : old) {
+        if (std::binary_search(kept.begin(), kept.end(), leaf)) tree.addLeaf(leaf);
+        else delete leaf;
+    }
+    for (Found& f : found)
+        for (auto& leaf : f.leaves) tree.addLeaf(leaf.release());
+    openvdb::tools::signedFloodFill(tree);
+    measure_tree(result);
+    return result;
 }
 
 openvdb::FloatGrid::Ptr merge_bricks(const std::vector<openvdb::FloatGrid::Ptr>& bricks) {

@@ -113,7 +113,8 @@ struct Made {
 
 /// The mask of one view; `edited` (or empty) is one that the user changed: it replaces the coverage, undistorted
 /// as it is, and what is to be ignored stays.
-Made make_one(const View& view, const fs::path& scene, const MaskOptions& options, const fs::path& edited, Progress& progress) {
+Made make_one(const View& view, const fs::path& first_scene, const MaskOptions& options, const fs::path& edited, Progress& progress) {
+    const fs::path& scene = view.scene.empty() ? first_scene : view.scene;
     Made out;
     const Intrinsics& k = view.camera.intrinsics;
     const auto check_size = [&](const Image8& image, const fs::path& path, const char* what) {
@@ -263,7 +264,8 @@ Mask threshold_mask(ImageView<uint8_t> photo, const ThresholdOptions& options, c
     return out;
 }
 
-std::vector<fs::path> mask_files(const View& view, const fs::path& scene, const MaskOptions& options) {
+std::vector<fs::path> mask_files(const View& view, const fs::path& first_scene, const MaskOptions& options) {
+    const fs::path& scene = view.scene.empty() ? first_scene : view.scene;
     std::vector<fs::path> out;
     const bool want_folder = options.method == MaskMethod::Folder || options.method == MaskMethod::Auto;
     const fs::path object = want_folder ? object_mask_file(view, scene, options) : fs::path();
@@ -273,12 +275,7 @@ std::vector<fs::path> mask_files(const View& view, const fs::path& scene, const 
     return out;
 }
 
-Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& given, const std::vector<fs::path>& edited, Progress& progress) {
-    if (!given.masks.empty() && !fs::is_directory(in_scene(given.masks, scene)))
-        throw InputError(given.masks.string() + ": --masks is not a folder");
-    if (!given.ignore_masks.empty() && !fs::is_directory(in_scene(given.ignore_masks, scene)))
-        throw InputError(given.ignore_masks.string() + ": --ignore-masks is not a folder");
-    const size_t n = views.views.size();
+MaskOptions settle(const Views& views, const MaskOptions& given, const std::vector<fs::path>& edited, Progress& progress) {
     MaskOptions options = given;
     if (options.method == MaskMethod::Threshold && options.threshold.level == ThresholdOptions::kAuto) {
         options.threshold.level = common_level(views, edited, options.threshold.channel);
@@ -286,12 +283,22 @@ Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& g
     }
     if (options.method == MaskMethod::Chroma && (!options.chroma.key_rgb || !(options.chroma.level > 0))) {
         std::vector<fs::path> photos;
-        for (size_t i = 0; i < n; ++i)
+        for (size_t i = 0; i < views.views.size(); ++i)
             if (i >= edited.size() || edited[i].empty()) photos.push_back(views.views[i].image_path);
         find_chroma_key(photos, options.chroma);
         const auto& key = *options.chroma.key_rgb;
         progress.note(text_of("chroma key %d,%d,%d, object below %.2f of it%s", key[0], key[1], key[2], options.chroma.level, given.chroma.key_rgb ? "" : "; found at the photographs' borders"));
     }
+    return options;
+}
+
+Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& given, const std::vector<fs::path>& edited, Progress& progress, std::vector<std::optional<KnownMask>> known) {
+    if (!given.masks.empty() && !fs::is_directory(in_scene(given.masks, scene)))
+        throw InputError(given.masks.string() + ": --masks is not a folder");
+    if (!given.ignore_masks.empty() && !fs::is_directory(in_scene(given.ignore_masks, scene)))
+        throw InputError(given.ignore_masks.string() + ": --ignore-masks is not a folder");
+    const size_t n = views.views.size();
+    const MaskOptions options = settle(views, given, edited, progress);
     if (options.method == MaskMethod::CleanPlate && options.plate.plate.empty()) throw UsageError("--mask clean-plate: which? Remedy: --clean-plate FILE, or a folder with one of each view's name");
     if (options.method == MaskMethod::Command) words_of_command(options.command);  // said before anything is done
     std::vector<Made> made(n);
@@ -299,7 +306,8 @@ Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& g
     tbb::task_arena arena(options.method == MaskMethod::Command ? options.command_jobs : tbb::task_arena::automatic);
     arena.execute([&] { tbb::parallel_for(size_t{0}, n, [&](size_t i) {
         const View& view = views.views[i];
-        made[i] = make_one(view, scene, options, i < edited.size() ? edited[i] : fs::path(), progress);
+        if (i < known.size() && known[i]) made[i] = {std::move(known[i]->mask), std::move(known[i]->origin), {}};
+        else made[i] = make_one(view, scene, options, i < edited.size() ? edited[i] : fs::path(), progress);
         progress.step();
     }); });
 

@@ -21,6 +21,7 @@
 #include "floor.h"
 #include "io_cameras.h"
 #include "io_image.h"
+#include "known_hull.h"
 #include "mask_consensus.h"
 #include "memory.h"
 #include "same_transform.h"
@@ -36,6 +37,7 @@
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/raster.h"
+#include "vdbcarve/report.h"
 #include "vdbcarve/version.h"
 
 namespace vdbcarve {
@@ -74,11 +76,25 @@ class StageStore {
   public:
     explicit StageStore(fs::path folder) : folder_(std::move(folder)) {}
     fs::path path(const std::string& stage, const std::string& key, const std::string& extension) const {
-        return folder_ / (stage + "-" + key.substr(0, 24) + extension);
+        const std::string name = stage + "-" + key.substr(0, 24);
+        asked_for_.insert(name);
+        return folder_ / (name + extension);
+    }
+    const fs::path& folder() const { return folder_; }
+
+    /// Removes what stages made of this run's did in earlier ones, and is not this one's.
+    void forget_others(const std::set<std::string>& stages) const {
+        std::vector<fs::path> old;
+        for (const auto& entry : fs::directory_iterator(folder_)) {
+            const std::string name = entry.path().filename().string(), stage = name.substr(0, name.find('-'));
+            if (stages.count(stage) && !asked_for_.count(name.substr(0, name.find('.')))) old.push_back(entry.path());
+        }
+        for (const fs::path& path : old) fs::remove_all(path);
     }
 
   private:
     fs::path folder_;
+    mutable std::set<std::string> asked_for_;
 };
 
 void add_camera(Sha256& hash, const Camera& c) {
@@ -95,9 +111,19 @@ std::string grid_text(const std::array<int, 3>& d) {
 
 class Job {
   public:
-    Job(const ReconstructOptions& options, Progress& progress) : o_(options), progress_(progress), store_(options.output / "stages") {}
+    Job(const ReconstructOptions& options, Progress& progress) : o_(options), progress_(progress), store_(options.output / "stages"), warnings_at_start_(progress.warnings().size()) {}
 
     Reconstruction run() {
+        try {
+            return run_stages();
+        } catch (const Error& e) {
+            leave_failure(e);
+            throw;
+        }
+    }
+
+  private:
+    Reconstruction run_stages() {
         check_options();
         const bool film = is_video(o_.views.scene);
         stage("views", [&] {
@@ -107,6 +133,7 @@ class Job {
             return reused;
         });
         if (!o_.dry_run && !film) open_output();
+        keep_views();
         // A mat is found in the photographs; masks then come from pictures whose lens is known.
         const bool aligned_by_mat = o_.align.method == AlignMethod::Mat && o_.last_stage != LastStage::Mask;
         if (aligned_by_mat) stage("align", [&] { return align_views(); });
@@ -116,6 +143,7 @@ class Job {
             return finish();
         }
         if (!aligned_by_mat && (!views_.posed || o_.align_again)) stage("align", [&] { return align_views(); });
+        keep_views();
         if (o_.floor_from != FloorFrom::File) stage("floor", [&] { return find_floor(); });
         if (o_.last_stage == LastStage::Align) {
             place_alignment();
@@ -148,10 +176,39 @@ class Job {
         return finish();
     }
 
-  private:
+    fs::path failure_file() const { return store_.folder() / "failure.json"; }
+
+    /// What a run ended with, for whoever looks into it later (bundle).
+    void leave_failure(const Error& e) const {
+        if (o_.dry_run || !made_by_us(o_.output)) return;
+        json failure = report_.is_object() ? report_ : json::object();
+        failure["failure"] = {{"stage", stage_name_}, {"text", e.what()}, {"exit_code", static_cast<int>(e.code())}};
+        failure["version"] = kVersion;
+        failure["warnings"] = warnings_since(warnings_at_start_);
+        failure["scene"] = scene_json();
+        try {
+            write_file(failure_file(), failure.dump(1) + "\n");
+            if (!o_.config_text.empty()) write_file(store_.folder() / "failure.toml", o_.config_text);
+        } catch (const Error&) {
+            // The error itself is what matters.
+        }
+    }
+
+    /// The cameras that a run goes on with: should it fail, they are nowhere else.
+    void keep_views() const {
+        if (!o_.dry_run && views_.posed) write_file(store_.folder() / "cameras.json", cameras_json(views_));
+    }
+
+    json scene_json() const {
+        json out{{"folder", fs::absolute(o_.views.scene).string()}, {"images", o_.views.images.string()}};
+        for (const fs::path& scene : o_.views.added) out["added"].push_back(fs::absolute(scene).string());
+        return out;
+    }
+
     template <class Work>
     void stage(const char* name, const Work& work) {
         progress_.check();
+        stage_name_ = name;
         const auto start = std::chrono::steady_clock::now();
         reset_peak_memory();
         stage_backend_ = Backend::Cpu;
@@ -242,6 +299,7 @@ class Job {
         if (fs::is_directory(o_.output) && !fs::is_empty(o_.output) && !made_by_us(o_.output) && !o_.force)
             throw OutputError(o_.output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
         make_folder(o_.output / "stages");
+        for (const char* folder : {"", "stages", "masks", "overlays", kUnverified}) remove_left_overs(o_.output / folder);  // of runs that were killed
         write_file(o_.output / kMarker, json{{"made_by", "vdbcarve"}}.dump() + "\n");
         // A finished result keeps its configuration until the new one is finished too.
         if (!fs::exists(o_.output / "report.json")) write_config();
@@ -387,16 +445,9 @@ class Job {
         }
         inputs_sha256_ = everything.hex();
         if (fs::is_regular_file(views_.camera_file)) report_["camera_file_sha256"] = sha256_of_file(views_.camera_file);
-        const MaskOptions& m = o_.mask;
         Sha256 h;
-        h.add("mask").add_value(kCodeVersion).add_value(m.method).add_value(m.invert).add_value(m.allow_missing);
-        h.add_value(m.threshold.level).add_value(m.threshold.channel).add_value(m.threshold.invert);
-        h.add_value(m.clean_up.open_px).add_value(m.clean_up.close_px).add_value(m.clean_up.largest_component).add_value(m.clean_up.fill_holes);
-        h.add_value(m.chroma.key_rgb.has_value()).add_value(m.grabcut.box_px.has_value()).add_value(m.chroma.level);
-        for (const uint8_t c : m.chroma.key_rgb.value_or(std::array<uint8_t, 3>{})) h.add_value(c);
-        for (const int x : m.grabcut.box_px.value_or(std::array<int, 4>{})) h.add_value(x);
-        h.add_value(m.plate.level).add_value(m.plate.shadows);
-        h.add_value(m.grabcut.from_threshold).add_value(m.grabcut.iterations).add(m.command);
+        add_mask_options(h, o_.mask);
+        h.add_value(o_.mask.allow_missing);
         for (size_t i = 0; i < n; ++i) {
             const View& v = views_.views[i];
             h.add(v.name).add(file_hashes[i]).add_value(v.orientation).add_value(v.lens.model).add_value(!edited[i].empty());
@@ -406,6 +457,16 @@ class Job {
         }
         mask_key_ = h.hex();
 
+        const auto key_of_view = [&](size_t i, const MaskOptions& settled) {
+            const View& v = views_.views[i];
+            Sha256 key;
+            add_mask_options(key, settled);
+            key.add(file_hashes[i]).add_value(v.orientation).add_value(v.lens.model).add_value(!edited[i].empty());
+            for (double c : v.lens.coefficients) key.add_value(c);
+            if (v.lens.distorts()) add_camera(key, v.camera);
+            key.add_value(v.camera.intrinsics.width_px).add_value(v.camera.intrinsics.height_px);
+            return key.hex();
+        };
         const fs::path stored = store_.path("masks", mask_key_, "");
         const auto note_found = stage_note(stored / "masks.json", {"origins", "left_out", "warnings", "files"});
         bool reused = !o_.dry_run && note_found;
@@ -426,7 +487,10 @@ class Job {
             const size_t warnings_before = progress_.warnings().size();
             MaskOptions cached = o_.mask;
             if (!o_.dry_run) cached.cache = o_.output / "stages" / "mask_command";
-            masks_ = make_masks(views_, o_.views.scene, cached, edited, progress_);
+            const MaskOptions settled = settle(views_, cached, edited, progress_);
+            std::vector<std::string> keys(n);
+            for (size_t i = 0; i < n; ++i) keys[i] = key_of_view(i, settled);
+            masks_ = make_masks(views_, o_.views.scene, settled, edited, progress_, o_.dry_run ? std::vector<std::optional<KnownMask>>() : known_masks(keys));
             if (!o_.dry_run) {
                 const fs::path part = o_.output / "stages" / ".masks.part";
                 fs::remove_all(part);
@@ -447,6 +511,7 @@ class Job {
                 const json note{{"origins", masks_.origins},
                                 {"files", files},
                                 {"left_out", masks_.left_out},
+                                {"keys", keys},
                                 {"warnings", warnings_since(warnings_before)}};
                 write_file(part / "masks.json", note.dump(1) + "\n");
                 fs::remove_all(stored);
@@ -456,6 +521,43 @@ class Job {
         if (!o_.dry_run) place_masks(stored);
         choose_used();
         return reused;
+    }
+
+    static void add_mask_options(Sha256& h, const MaskOptions& m) {
+        h.add("mask").add_value(kCodeVersion).add_value(m.method).add_value(m.invert);
+        h.add_value(m.threshold.level).add_value(m.threshold.channel).add_value(m.threshold.invert);
+        h.add_value(m.clean_up.open_px).add_value(m.clean_up.close_px).add_value(m.clean_up.largest_component).add_value(m.clean_up.fill_holes);
+        h.add_value(m.chroma.key_rgb.has_value()).add_value(m.grabcut.box_px.has_value()).add_value(m.chroma.level);
+        for (const uint8_t c : m.chroma.key_rgb.value_or(std::array<uint8_t, 3>{})) h.add_value(c);
+        for (const int x : m.grabcut.box_px.value_or(std::array<int, 4>{})) h.add_value(x);
+        h.add_value(m.plate.level).add_value(m.plate.shadows);
+        h.add_value(m.grabcut.from_threshold).add_value(m.grabcut.iterations).add(m.command);
+    }
+
+    /// Masks that earlier runs made, of fewer photographs, by what they were made from.
+    std::vector<std::optional<KnownMask>> known_masks(const std::vector<std::string>& keys) const {
+        struct Place {
+            fs::path folder;
+            size_t number;
+            std::string origin;
+        };
+        std::map<std::string, Place> places;
+        for (const auto& entry : fs::directory_iterator(store_.folder())) {
+            if (entry.path().filename().string().rfind("masks-", 0) != 0) continue;
+            const auto note = stage_note(entry.path() / "masks.json", {"origins", "keys"});
+            if (!note) continue;
+            const auto theirs = (*note)["keys"].get<std::vector<std::string>>();
+            for (size_t i = 0; i < theirs.size(); ++i) places[theirs[i]] = {entry.path(), i, (*note)["origins"][i].get<std::string>()};
+        }
+        std::vector<std::optional<KnownMask>> out(keys.size());
+        tbb::parallel_for(size_t{0}, keys.size(), [&](size_t i) {
+            const auto found = places.find(keys[i]);
+            if (found == places.end()) return;
+            const fs::path stem = found->second.folder / std::to_string(found->second.number), coverage = fs::path(stem) += ".png", ignore = fs::path(stem) += "_ignore.png";
+            if (!fs::exists(coverage)) return;  // one that was left out is made, and left out, again
+            out[i] = KnownMask{{io::read_image8(coverage), fs::exists(ignore) ? io::read_image8(ignore) : Image8()}, found->second.origin};
+        });
+        return out;
     }
 
     /// Views with a mask, but for those that cameras.json or align() says not to use.
@@ -792,7 +894,50 @@ class Job {
 
     // --------------------------------------------------------------------------------------- carve
 
+    /// The bounds and voxels of the result that views are added to.
+    struct KeptGrid {
+        Box3d bounds;
+        double voxel_size;
+        Vec3d origin;
+    };
+
+    /// Nothing where nothing is added, where there is no result, and where its cameras were others: then its bounds mean nothing here.
+    std::optional<KeptGrid> grid_to_keep() {
+        if (o_.views.added.empty() || finds_cameras()) return std::nullopt;
+        const json report = parse_or_empty(o_.output / "report.json");
+        std::map<std::string, Camera> before;
+        KeptGrid kept{};
+        try {
+            const json& g = report.at("grid");
+            const auto b = g.at("bounds").get<std::array<double, 6>>();
+            kept.bounds = Box3d(Vec3d(b[0], b[1], b[2]), Vec3d(b[3], b[4], b[5]));
+            kept.voxel_size = g.at("voxel_size").get<double>();
+            const auto o = g.at("origin").get<std::array<double, 3>>();
+            kept.origin = Vec3d(o[0], o[1], o[2]);
+            for (const io::ImportedView& v : io::read_transforms(o_.output / "cameras.json").views) before.emplace(v.view.name, v.view.camera);
+        } catch (const json::exception&) {
+            return std::nullopt;  // nothing is there yet
+        } catch (const InputError&) {
+            return std::nullopt;
+        }
+        std::vector<std::string> moved;
+        size_t same = 0;
+        for (const View& v : views_.views) {
+            auto found = before.find(v.name);
+            if (found == before.end()) found = before.find(fs::path(v.name).filename().string());
+            if (found == before.end()) continue;
+            const Rigid3 &a = v.camera.camera_from_world, &b = found->second.camera_from_world;
+            const bool near = (a.rotation - b.rotation).norm() < 1e-9 && (a.translation - b.translation).norm() <= 1e-9 * (1 + a.translation.norm());
+            if (near) ++same;
+            else moved.push_back(v.name);
+        }
+        if (same > 0 && moved.empty()) return kept;
+        progress_.note("the bounds are found anew: the cameras of " + o_.output.string() + " are others" + (moved.empty() ? "" : " (" + some_of(moved) + ")"));
+        return std::nullopt;
+    }
+
     void plan_key() {
+        kept_ = grid_to_keep();
         Sha256 h;
         h.add("carve").add_value(kCodeVersion).add(mask_key_).add(views_.units).add(views_.up).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.distance.silhouette_offset_px);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
@@ -806,6 +951,8 @@ class Job {
             for (int a = 0; a < 3; ++a) h.add_value(o_.bounds->min()[a]).add_value(o_.bounds->max()[a]);
         if (o_.origin)
             for (int a = 0; a < 3; ++a) h.add_value((*o_.origin)[a]);
+        if (kept_)
+            for (int a = 0; a < 3; ++a) h.add_value(kept_->bounds.min()[a]).add_value(kept_->bounds.max()[a]).add_value(kept_->origin[a]).add_value(kept_->voxel_size);
         hull_key_ = h.hex();
     }
     fs::path hull_file() const { return store_.path("hull", hull_key_, ".vdb"); }
@@ -832,15 +979,66 @@ class Job {
         if (!o_.mask.repair && !o_.dry_run) warn_of_broken_masks();
         plan_grid();
         if (o_.dry_run) return;
+        find_known();
         if (backend_ == Backend::Cuda && on_device("distance", [&] {
                 device_->upload(used_masks_);
                 device_->distance(field_options_);
                 device_->wait();
             }))
             return;
+        if (known_) {
+            const auto start = std::chrono::steady_clock::now();
+            // Of known views only what they ignore is asked for.
+            std::vector<size_t> wanted;
+            for (size_t u = 0; u < inputs_.size(); ++u)
+                if (u >= known_->views.size() || !used_masks_[u].ignore.empty()) wanted.push_back(u);
+            std::vector<MaskView> masks;
+            for (const size_t u : wanted) masks.push_back(used_masks_[u]);
+            fields_ = distance_fields(masks, field_options_, progress_);
+            for (size_t w = 0; w < wanted.size(); ++w) inputs_[wanted[w]].field = &fields_[w];
+            extend_seconds_ = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+            return;
+        }
         if (batch_ < inputs_.size()) return;  // made in batches while carving
         fields_ = distance_fields(used_masks_, field_options_, progress_);
         for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
+    }
+
+    /// What a hull depends on, but for its views; and each of those.
+    void find_known() {
+        Sha256 h;
+        h.add("hull of any views").add_value(kCodeVersion).add_value(carve_.max_misses).add_value(carve_.min_seen).add_value(carve_.outside).add_value(carve_.half_width_vox).add_value(carve_.occupancy);
+        for (int a = 0; a < 3; ++a) h.add_value(carve_.bounds_world.min()[a]).add_value(carve_.bounds_world.max()[a]).add_value(carve_.lattice.origin_world[a]);
+        h.add_value(carve_.lattice.voxel_size).add_value(field_options_.silhouette_offset_px).add_value(field_options_.scale).add_value(field_options_.reach_samples);
+        base_key_ = h.hex();
+        view_keys_.resize(inputs_.size());
+        tbb::parallel_for(size_t{0}, inputs_.size(), [&](size_t u) {
+            Sha256 view;
+            add_camera(view, inputs_[u].camera);
+            const MaskView& m = used_masks_[u];
+            view.add(m.coverage.data, m.coverage.pixels()).add(m.ignore.data, m.ignore.pixels());
+            view_keys_[u] = view.hex();
+        });
+        if (backend_ == Backend::Cuda || carve_.occupancy || bricks_ > 1) return;  // a device carves anew sooner than it is told of a hull
+        known_ = find_known_hull(store_.folder(), base_key_, view_keys_);
+        if (!known_ || 2 * known_->views.size() < inputs_.size()) {
+            known_.reset();
+            return;
+        }
+        // Those that made it first, as extend_hull wants them.
+        std::vector<size_t> order = known_->views;
+        for (size_t u = 0, k = 0; u < inputs_.size(); ++u) {
+            if (k < known_->views.size() && known_->views[k] == u) ++k;
+            else order.push_back(u);
+        }
+        const auto in_order = [&](const auto& all) {
+            auto out = all;
+            for (size_t n = 0; n < order.size(); ++n) out[n] = all[order[n]];
+            return out;
+        };
+        inputs_ = in_order(inputs_);
+        used_masks_ = in_order(used_masks_);
+        view_keys_ = in_order(view_keys_);
     }
 
     /// Runs work on the device. Where that fails (for want of memory, most likely) and the device was not demanded, says so and
@@ -1018,11 +1216,22 @@ class Job {
                 for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
             }
         }
-        if (batch_ >= inputs_.size()) return carve(inputs_, options, progress_);
+        if (batch_ >= inputs_.size() && !known_) return carve(inputs_, options, progress_);
         const FieldSource source = [&](size_t first, size_t last) {
             Progress quiet;
             return distance_fields({used_masks_.begin() + static_cast<long>(first), used_masks_.begin() + static_cast<long>(last)}, field_options_, quiet);
         };
+        if (known_) {
+            openvdb::FloatGrid::Ptr hull = read_float_grid(known_->file, "hull");
+            const auto start = std::chrono::steady_clock::now();
+            CarveResult result = extend_hull(std::move(hull), known_->views.size(), inputs_, source, options, progress_);
+            extend_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+            added_views_ = inputs_.size() - known_->views.size();
+            std::vector<std::string> names;
+            for (size_t u = known_->views.size(); u < inputs_.size(); ++u) names.push_back(inputs_[u].name);
+            progress_.note(text_of("the hull of %s is extended by %s (%s) in %.0f ms", counted(known_->views.size(), "view").c_str(), counted(added_views_, "view").c_str(), some_of(names).c_str(), 1e3 * extend_seconds_));
+            return result;
+        }
         return carve_in_batches(inputs_, batch_, source, options, progress_);
     }
 
@@ -1102,8 +1311,10 @@ class Job {
         carve_.occupancy = o_.occupancy;
         carve_.half_width_vox = o_.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
-        Box3d box = o_.bounds ? *o_.bounds : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
-        floor_clips_ = views_.floor && !o_.bounds && clip_at_floor(box);
+        Box3d box = kept_ ? kept_->bounds : o_.bounds ? *o_.bounds : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
+        floor_clips_ = views_.floor && !o_.bounds && (kept_ || clip_at_floor(box));
+        if (kept_ && o_.bounds && !(kept_->bounds.min().isApprox(o_.bounds->min(), 1e-9) && kept_->bounds.max().isApprox(o_.bounds->max(), 1e-9)))
+            throw UsageError("--bounds: views are added to " + o_.output.string() + ", which has others. Remedy: without --bounds, or another -o");
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
@@ -1134,7 +1345,14 @@ class Job {
             const double fine = size.maxCoeff() / footprint;
             const int n = static_cast<int>(std::clamp(std::round(fine), 64.0, 1024.0));
             voxel = size.maxCoeff() / n;
-            progress_.note("resolution " + std::to_string(n) + ": a voxel for a pixel" + (fine > 1024 ? " would be " + std::to_string(std::lround(fine)) + "; --resolution sets another" : ""));
+            if (!kept_) progress_.note("resolution " + std::to_string(n) + ": a voxel for a pixel" + (fine > 1024 ? " would be " + std::to_string(std::lround(fine)) + "; --resolution sets another" : ""));
+        }
+        if (kept_) {
+            const bool given = o_.resolution > 0 || o_.voxel_size > 0 || o_.grid;
+            if ((given && std::fabs(voxel / kept_->voxel_size - 1) > 1e-9) || (o_.origin && !o_.origin->isApprox(kept_->origin, 1e-9)))
+                throw UsageError(text_of("--resolution, --voxel-size, --grid or --origin: views are added to %s, whose voxels of %.9g lie otherwise. Remedy: as it was made, or another -o", o_.output.c_str(), kept_->voxel_size));
+            voxel = kept_->voxel_size;
+            origin = kept_->origin;
         }
         if (footprint > 0 && voxel < 0.98 * footprint)
             progress_.warn("voxels of " + std::to_string(voxel) + " are finer than a pixel on the object (" + std::to_string(footprint) +
@@ -1146,6 +1364,7 @@ class Job {
         json& g = report_["grid"];
         g["dims"] = dims;
         g["voxel_size"] = voxel;
+        g["origin"] = {origin.x(), origin.y(), origin.z()};
         g["bounds"] = {box.min()[0], box.min()[1], box.min()[2], box.max()[0], box.max()[1], box.max()[2]};
         g["bounds_automatic"] = !o_.bounds;
         g["bounds_seconds"] = bounds_seconds;
@@ -1213,7 +1432,7 @@ class Job {
         fields_.clear();
         inputs_.clear();
         if (bricks_ == 1) write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
-        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)}};
+        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)}, {"base", base_key_}, {"views", view_keys_}};
         write_file(hull_json(), note.dump(1) + "\n");
         return false;
     }
@@ -1906,8 +2125,8 @@ class Job {
         report_["version"] = kVersion;
         report_["peak_rss_bytes"] = peak_bytes_;
         report_["backend"] = backend_used_;
-        report_["warnings"] = progress_.warnings();
-        report_["scene"] = {{"folder", fs::absolute(o_.views.scene).string()}, {"images", o_.views.images.string()}};
+        report_["warnings"] = warnings_since(warnings_at_start_);
+        report_["scene"] = scene_json();
         report_["cameras"] = {{"file", views_.camera_file.string()}, {"format", views_.format}, {"up", views_.up}, {"units", views_.units}};
         Reconstruction out;
         out.report_json = report_.dump(1) + "\n";
@@ -1915,17 +2134,41 @@ class Job {
         out.median_iou = median_iou_;
         out.minimum_iou = minimum_iou_;
         out.contradiction = contradiction_;
+        out.views = used_.size();
+        out.added_views = added_views_;
+        out.extend_seconds = extend_seconds_;
         if (!o_.dry_run) {
             write_config();
             write_file(place_ / "report.json", out.report_json);
+            for (const char* gone : {"failure.json", "failure.toml"}) fs::remove(store_.folder() / gone);
             if (place_ == o_.output && o_.last_stage != LastStage::Mask) clear_unverified();
+            if (o_.last_stage == LastStage::Export && place_ == o_.output) write_page();
+            if (!o_.views.added.empty() && o_.last_stage == LastStage::Export) store_.forget_others({"masks", "repaired", "hull", "surface", "color", "filtered", "mesh", "smooth"});
         }
         return out;
+    }
+
+    /// The page for people. Where it fails, the result stands all the same.
+    void write_page() {
+        const fs::path file = o_.output / "report.html";
+        if (!o_.report) {
+            fs::remove(file);  // it would be about another result
+            return;
+        }
+        try {
+            write_report(o_.output, file, {}, progress_, &mesh_);
+        } catch (const Interrupted&) {
+            throw;
+        } catch (const Error& e) {
+            progress_.note(std::string("no report.html: ") + e.what());
+        }
     }
 
     ReconstructOptions o_;  ///< as given; of a film, about its frames
     Progress& progress_;
     StageStore store_;
+    size_t warnings_at_start_;  ///< one context may serve several jobs
+    std::string stage_name_ = "options";
     json report_;
     VideoFrames film_;
     Views views_;
@@ -1941,6 +2184,12 @@ class Job {
     fs::path orbit_svg_;        ///< of the cameras that were found
     std::vector<DistanceField> fields_;
     std::vector<MaskView> used_masks_;  ///< of inputs_
+    std::optional<KeptGrid> kept_;
+    std::string base_key_;
+    std::vector<std::string> view_keys_;  ///< of inputs_, by camera and mask
+    std::optional<KnownHull> known_;      ///< made of the first inputs_, to be extended by the others
+    size_t added_views_ = 0;
+    double extend_seconds_ = 0;
     DistanceOptions field_options_;
     size_t warnings_before_grid_ = 0;
     size_t peak_bytes_ = 0;
@@ -1993,7 +2242,9 @@ Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress
 
 Views result_views(const fs::path& output, const fs::path& images, Progress& progress) {
     ViewsOptions options;
-    const json report = parse_or_empty(output / "report.json");
+    // Of a run that never came to an end, what it failed with.
+    const bool failed = !fs::exists(output / "cameras.json");
+    const json report = parse_or_empty(failed ? output / "stages" / "failure.json" : output / "report.json");
     try {
         options.scene = report.at("scene").at("folder").get<std::string>();
         options.images = report.at("scene").at("images").get<std::string>();
@@ -2002,9 +2253,18 @@ Views result_views(const fs::path& output, const fs::path& images, Progress& pro
     }
     if (!images.empty()) options.images = images;
     if (!fs::is_directory(options.scene)) options.scene = output;
-    options.cameras = fs::absolute(output / "cameras.json");
+    options.cameras = fs::absolute(output / (failed ? "stages/cameras.json" : "cameras.json"));
     options.cameras_only = true;
-    return load_views(options, progress);
+    Views views = load_views(options, progress);
+    if (images.empty() && report.contains("scene"))
+        for (const json& added : report["scene"].value("added", json::array())) {
+            options.scene = added.get<std::string>();
+            if (!fs::is_directory(options.scene)) continue;
+            const Views other = load_views(options, progress);
+            for (size_t i = 0; i < views.views.size(); ++i)
+                if (views.views[i].image_path.empty()) views.views[i].image_path = other.views[i].image_path;
+        }
+    return views;
 }
 
 FileFrame frame_from_scene(const fs::path& output, const std::string& file) {

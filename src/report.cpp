@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/report.h"
 
-#include <openvdb/tools/GridTransformer.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -16,11 +15,9 @@
 #include "io_image.h"
 #include "text.h"
 #include "vdbcarve/caps.h"
-#include "vdbcarve/color.h"
 #include "vdbcarve/decimate.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
-#include "vdbcarve/mesh.h"
 #include "vdbcarve/pipeline.h"
 #include "vdbcarve/raster.h"
 #include "vdbcarve/render.h"
@@ -102,7 +99,7 @@ struct SeenView {
 
 class Page {
   public:
-    Page(const fs::path& result, const ReportOptions& options, Progress& progress) : result_(result), options_(options), progress_(progress) {}
+    Page(const fs::path& result, const ReportOptions& options, Progress& progress, const Mesh* mesh) : result_(result), options_(options), progress_(progress), given_(mesh) {}
 
     std::string html() {
         load();
@@ -134,12 +131,14 @@ class Page {
             throw InputError(file.string() + ": " + e.what());
         }
         if (!report_.contains("mesh") || !report_.contains("views")) throw InputError(file.string() + ": is not of a finished reconstruct. Remedy: `vdbcarve reconstruct` with the same -o goes on");
-        fs::path mesh_file;
-        for (const char* name : {"mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"})
-            if (mesh_file.empty() && fs::exists(result_ / name)) mesh_file = result_ / name;
-        if (mesh_file.empty()) throw InputError(result_.string() + ": holds no mesh of vdbcarve's");
-        mesh_ = in_frame(read_mesh(mesh_file), inverse(frame_from_scene(result_, mesh_file.filename().string())));
-        faces_ = mesh_.triangles.size();
+        if (!given_) {
+            fs::path mesh_file;
+            for (const char* name : {"mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"})
+                if (mesh_file.empty() && fs::exists(result_ / name)) mesh_file = result_ / name;
+            if (mesh_file.empty()) throw InputError(result_.string() + ": holds no mesh of vdbcarve's");
+            read_ = in_frame(read_mesh(mesh_file), inverse(frame_from_scene(result_, mesh_file.filename().string())));
+        }
+        faces_ = mesh().triangles.size();
         views_ = result_views(result_, options_.images, progress_);
         cameras_ = views_.cameras();
         if (views_.up.empty()) views_.up = report_["cameras"].value("up", "");
@@ -232,30 +231,35 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         std::ostringstream out;
         out << "<h2>The model</h2>\n";
         Box3d box;
-        for (const auto& v : mesh_.vertices) box.extend(Vec3d(v[0], v[1], v[2]));
+        for (const auto& v : mesh().vertices) box.extend(Vec3d(v[0], v[1], v[2]));
         RenderOptions o;
         o.background.reset();
         o.up = up_direction(views_.up, cameras_);
         OrbitView from;
         from.width_px = 960;
         from.height_px = 640;
-        const Image8 picture = render(mesh_, orbit_camera(box, o.up, from), o);
+        const Image8 picture = render(mesh(), orbit_camera(box, o.up, from), o);
         const std::string poster = data_uri("image/png", io::encode_png(picture));
         progress_.step();
         if (!report_has_viewer() || options_.most_faces == 0) {
             out << "<img class=poster alt=\"the model\" src=\"" << poster << "\">\n<p><small>" << (report_has_viewer() ? "A picture only, as was asked for." : "This vdbcarve was built without the 3-D viewer (model-viewer, from npm): a picture instead; mesh.glb opens in any 3-D program.") << "</small></p>\n";
             return out.str();
         }
-        Mesh small = coarse_mesh();
-        small.normals.clear();
         const Eigen::Quaterniond upright = Eigen::Quaterniond::FromTwoVectors(o.up, Vec3d::UnitY());  // as the viewer has it
-        for (auto& v : small.vertices) {
-            const Vec3d p = upright * (Vec3d(v[0], v[1], v[2]) - box.center());
-            v = {static_cast<float>(p.x()), static_cast<float>(p.y()), static_cast<float>(p.z())};
-        }
+        Mesh small;
         std::string uri;
         for (size_t faces = options_.most_faces;; faces = faces * 2 / 3) {
-            if (small.triangles.size() > faces) decimate(small, {faces, 0, 60}, progress_);
+            if (faces_ > 4 * faces) {  // decimating takes 4 us a face
+                small = simplified_for_display(mesh(), faces);
+            } else {
+                small = mesh();
+                if (faces_ > faces) decimate(small, {faces, 0, 60}, progress_);
+            }
+            small.normals.clear();
+            for (auto& v : small.vertices) {
+                const Vec3d p = upright * (Vec3d(v[0], v[1], v[2]) - box.center());
+                v = {static_cast<float>(p.x()), static_cast<float>(p.y()), static_cast<float>(p.z())};
+            }
             std::ostringstream glb;
             write_glb(glb, small, result_ / "report.html");
             const std::string bytes = glb.str();
@@ -265,29 +269,6 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         out << "<model-viewer camera-controls touch-action=pan-y interaction-prompt=none shadow-intensity=0.6 tone-mapping=neutral alt=\"the model\" poster=\"" << poster << "\" src=\"" << uri << "\"></model-viewer>\n<noscript><img class=poster alt=\"the model\" src=\"" << poster
             << "\"></noscript>\n<p><small>Drag to turn, wheel or two fingers to come nearer." << (small.triangles.size() < faces_ ? " " + count_text(static_cast<double>(small.triangles.size())) + " of " + count_text(static_cast<double>(faces_)) + " faces." : "") << "</small></p>\n";
         return out.str();
-    }
-
-    /// The mesh; where it has many times the faces that are wanted, one of the volume in larger voxels, for decimating takes 4 us a face.
-    Mesh coarse_mesh() {
-        const double times = static_cast<double>(faces_) / static_cast<double>(options_.most_faces);
-        const fs::path file = result_ / "volume.vdb";
-        if (times < 4 || !fs::exists(file)) return mesh_;
-        openvdb::FloatGrid::Ptr surface;
-        openvdb::Vec3SGrid::Ptr color;
-        for (const openvdb::GridBase::Ptr& grid : read_vdb(file)) {
-            if (grid->getName() == "surface") surface = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
-            if (!color && grid->isType<openvdb::Vec3SGrid>()) color = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
-        }
-        if (!surface) return mesh_;
-        const double voxel = surface->voxelSize()[0] * std::sqrt(times / 2);
-        openvdb::FloatGrid::Ptr coarse = openvdb::FloatGrid::create(static_cast<float>(3 * voxel));
-        coarse->setTransform(openvdb::math::Transform::createLinearTransform(voxel));
-        coarse->setGridClass(openvdb::GRID_LEVEL_SET);
-        openvdb::tools::resampleToMatch<openvdb::tools::BoxSampler>(*surface, *coarse);
-        Mesh out = extract_mesh(*coarse, {}, progress_);
-        if (out.triangles.empty()) return mesh_;
-        if (color) color_vertices(out, *color);
-        return in_frame(std::move(out), inverse(frame_from_scene(result_, "volume.vdb")));
     }
 
     static bool on_edge(const Image8& m, int x, int y) {
@@ -302,7 +283,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         const int width = camera.intrinsics.width_px, height = camera.intrinsics.height_px;
         Image8 out(width, height, 3, 24);
         Image8 photo;
-        if (!v.view->image_path.empty()) {
+        if (options_.photos && !v.view->image_path.empty()) {
             try {
                 photo = io::downscale(load_photo8(*v.view).view(), width, height);
             } catch (const InputError& e) {
@@ -311,7 +292,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         }
         Image8 mask;
         if (const fs::path file = result_ / "masks" / mask_names_[v.number]; fs::exists(file)) mask = io::downscale(io::read_image8(file).view(), width, height);
-        const Image8 hull = silhouette_of(mesh_, camera);
+        const Image8 hull = silhouette_of(mesh(), camera);
         for (int y = 0; y < height; ++y)
             for (int x = 0; x < width; ++x) {
                 if (!photo.empty())
@@ -349,14 +330,14 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         if (cameras_.empty()) return;
         const Vec3d up = up_direction(views_.up, cameras_), first = std::fabs(up.x()) > 0.9 ? Vec3d::UnitY() : Vec3d::UnitX(), x = (first - first.dot(up) * up).normalized(), y = up.cross(x);
         Box3d box;
-        for (const auto& v : mesh_.vertices) box.extend(Vec3d(v[0], v[1], v[2]));
+        for (const auto& v : mesh().vertices) box.extend(Vec3d(v[0], v[1], v[2]));
         const Vec3d middle = box.center();
         double reach = 0.5 * box.diagonal().norm();
         for (const SeenView& v : seen_)
             if (v.view && !cameras_[v.number].intrinsics.orthographic) reach = std::max(reach, (cameras_[v.number].centre_world() - middle).norm());
         const double scale = 180 / reach;
         // The model itself, thinned to a few thousand points.
-        const size_t every = std::max<size_t>(1, mesh_.vertices.size() / 3000);
+        const size_t every = std::max<size_t>(1, mesh().vertices.size() / 3000);
         body_ << "<h2>Cameras</h2>\n<div class=two>\n";
         for (const bool above : {true, false}) {
             const auto place = [&](const Vec3d& p) {
@@ -364,8 +345,8 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
                 return Vec2d(200 + scale * d.dot(x), 200 - scale * d.dot(above ? y : up));
             };
             body_ << "<svg viewBox=\"0 0 400 420\" role=img><path fill=none stroke=currentColor stroke-opacity=.25 stroke-width=1.5 stroke-linecap=round d=\"";
-            for (size_t n = 0; n < mesh_.vertices.size(); n += every) {
-                const auto& v = mesh_.vertices[n];
+            for (size_t n = 0; n < mesh().vertices.size(); n += every) {
+                const auto& v = mesh().vertices[n];
                 const Vec2d p = place(Vec3d(v[0], v[1], v[2]));
                 body_ << text_of("M%.1f %.1fh0", p.x(), p.y());
             }
@@ -418,7 +399,10 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
     const ReportOptions& options_;
     Progress& progress_;
     json report_;
-    Mesh mesh_;  ///< in the scene's frame
+    const Mesh* given_;
+    Mesh read_;  ///< where none was given
+    /// In the scene's frame.
+    const Mesh& mesh() const { return given_ ? *given_ : read_; }
     size_t faces_ = 0;
     Views views_;
     std::vector<Camera> cameras_;
@@ -437,10 +421,10 @@ bool report_has_viewer() {
 #endif
 }
 
-std::string report_html(const fs::path& result, const ReportOptions& options, Progress& progress) { return Page(result, options, progress).html(); }
+std::string report_html(const fs::path& result, const ReportOptions& options, Progress& progress, const Mesh* mesh) { return Page(result, options, progress, mesh).html(); }
 
-size_t write_report(const fs::path& result, const fs::path& file, const ReportOptions& options, Progress& progress) {
-    const std::string html = report_html(result, options, progress);
+size_t write_report(const fs::path& result, const fs::path& file, const ReportOptions& options, Progress& progress, const Mesh* mesh) {
+    const std::string html = report_html(result, options, progress, mesh);
     write_file(file, html);
     return html.size();
 }

@@ -136,7 +136,7 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
 class ImageFinder {
   public:
     ImageFinder(const ViewsOptions& options, fs::path camera_folder)
-        : images_(in_scene(options.images, options.scene)), scene_(options.scene), camera_folder_(std::move(camera_folder)) {
+        : images_(in_scene(options.images, options.scene)), scene_(options.scene), camera_folder_(std::move(camera_folder)), is_whole_(options.is_whole) {
         if (!images_.empty() && !fs::is_directory(images_))
             throw InputError(images_.string() + ": --images is not a folder");
     }
@@ -150,12 +150,12 @@ class ImageFinder {
             if (!subfolder_.empty()) places.insert(places.end(), {subfolder_ / n, subfolder_ / n.filename()});
         }
         for (const fs::path& place : places) {
-            if (fs::is_regular_file(place)) return place;
+            if (is_there(place)) return place;
             for (const std::string& ext : kPictures)
                 for (const bool shout : {false, true}) {
                     fs::path with = place;
                     with += shout ? upper_case(ext) : ext;
-                    if (fs::is_regular_file(with)) return with;
+                    if (is_there(with)) return with;
                 }
         }
         return {};
@@ -177,7 +177,10 @@ class ImageFinder {
     fs::path subfolder() const { return subfolder_; }
 
   private:
+    bool is_there(const fs::path& file) const { return fs::is_regular_file(file) && (!is_whole_ || is_whole_(file)); }
+
     fs::path images_, scene_, camera_folder_, subfolder_;
+    std::function<bool(const fs::path&)> is_whole_;
 };
 
 fs::path photo_folder(const ViewsOptions& options) {
@@ -231,6 +234,7 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
     fs::path folder = photo_folder(options);
     std::vector<std::string> names = photos_in(folder);
     if (names.empty() && options.images.empty() && fs::is_directory(options.scene / "masks")) names = photos_in(folder = options.scene / "masks");
+    if (options.is_whole) std::erase_if(names, [&](const std::string& name) { return !options.is_whole(folder / name); });
     if (names.empty()) throw InputError(folder.string() + ": neither cameras nor photographs. Remedy: a folder with photographs, or with images/ or masks/");
     Views out;
     out.posed = false;
@@ -264,9 +268,7 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
     return out;
 }
 
-}  // namespace
-
-Views load_views(const ViewsOptions& options, Progress& progress) {
+Views load_scene(const ViewsOptions& options, Progress& progress) {
     if (!fs::is_directory(options.scene)) {
         if (fs::is_regular_file(options.scene))
             throw InputError(options.scene.string() + ": is a file; a scene is a folder with photographs, or (reconstruct, align, mask, carve) a film such as .mp4, whose frames `vdbcarve mask` puts into a folder in OUT/stages that is a scene");
@@ -324,7 +326,7 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
         if (view.image_path.empty() && !(options.cameras_only && sizes_known)) {
             if (options.allow_missing) {
                 out.left_out.push_back(view.name);
-                progress.warn(where + ": image not found; the view is left out");
+                if (!options.is_whole) progress.warn(where + ": image not found; the view is left out");
                 continue;
             }
             throw InputError(where + ": image not found in " + (options.images.empty() ? options.scene : options.images).string() +
@@ -373,6 +375,82 @@ Views load_views(const ViewsOptions& options, Progress& progress) {
         if (out.views[i].name == out.views[i - 1].name)
             throw InputError(found.path.string() + ": view " + out.views[i].name + " is listed twice");
     check_views(out);
+    if (options.is_whole && !out.left_out.empty()) progress.note(counted(out.left_out.size(), "view") + " of " + found.path.string() + " without a photograph so far");
+    return out;
+}
+
+bool same_sitting(const Sitting& a, const Sitting& b) {
+    return a.scale == b.scale && a.scene_from_sitting.rotation == b.scene_from_sitting.rotation && a.scene_from_sitting.translation == b.scene_from_sitting.translation;
+}
+
+/// Takes over the views of another scene that are not there yet.
+void add_scene(Views& views, const fs::path& scene, const ViewsOptions& options, Progress& progress) {
+    ViewsOptions wanted = options;
+    wanted.scene = scene;
+    wanted.added.clear();
+    std::error_code not_there;
+    if (!fs::equivalent(scene, options.scene, not_there)) {
+        wanted.images.clear();
+        if (wanted.cameras != "none") wanted.cameras.clear();
+    }
+    Views other = load_scene(wanted, progress);
+    if (views.posed != other.posed)
+        throw InputError((other.posed ? options.scene : scene).string() + ": has no camera file, and " + (other.posed ? scene : options.scene).string() + " has: where its photographs were taken from in that world is not known. Remedy: cameras for all of them, or --cameras none to find them all anew");
+    const auto differ = [&](const std::string& a, const std::string& b, const char* what) {
+        if (!a.empty() && !b.empty() && a != b) throw InputError(scene.string() + ": its " + what + " is " + b + ", that of " + options.scene.string() + " " + a + ". They are taken to be one world. Remedy: mend the camera file that is wrong");
+    };
+    differ(views.units, other.units, "unit");
+    differ(views.up, other.up, "up axis");
+    std::set<fs::path> photos;
+    std::map<std::string, fs::path> names;
+    for (const View& v : views.views) {
+        if (!v.image_path.empty()) photos.insert(fs::weakly_canonical(v.image_path));
+        names.emplace(v.name, v.image_path);
+    }
+    std::map<std::string, std::string> sitting_of;
+    for (Sitting s : other.sittings) {
+        const std::string id = s.id;
+        const auto same = [&](const Sitting& have) { return have.id == s.id; };
+        auto have = std::find_if(views.sittings.begin(), views.sittings.end(), same);
+        while (have != views.sittings.end() && !same_sitting(*have, s)) {
+            s.id += "'";
+            have = std::find_if(views.sittings.begin(), views.sittings.end(), same);
+        }
+        if (have == views.sittings.end()) views.sittings.push_back(s);
+        sitting_of[id] = s.id;
+    }
+    size_t fresh = 0;
+    for (View& v : other.views) {
+        if (!v.image_path.empty() && photos.count(fs::weakly_canonical(v.image_path))) continue;
+        if (const auto taken = names.find(v.name); taken != names.end())
+            throw InputError(v.image_path.string() + ": a view is called " + v.name + " already (" + taken->second.string() + "). Remedy: another name for one of the photographs, also in its camera file");
+        v.scene = scene;
+        v.sitting = sitting_of[v.sitting];
+        views.views.push_back(std::move(v));
+        ++fresh;
+    }
+    if (views.up.empty()) views.up = other.up;
+    if (views.units.empty()) views.units = other.units;
+    views.left_out.insert(views.left_out.end(), other.left_out.begin(), other.left_out.end());
+    std::sort(views.left_out.begin(), views.left_out.end());
+    views.left_out.erase(std::unique(views.left_out.begin(), views.left_out.end()), views.left_out.end());
+    for (const std::string& why : other.unverified)
+        if (std::find(views.unverified.begin(), views.unverified.end(), why) == views.unverified.end()) views.unverified.push_back(why);
+    if (fresh) progress.note(counted(fresh, "view") + " more from " + other.camera_file.string() + " (" + other.format + ")");
+}
+
+}  // namespace
+
+Views load_views(const ViewsOptions& options, Progress& progress) {
+    Views out = load_scene(options, progress);
+    for (const fs::path& scene : options.added) add_scene(out, scene, options, progress);
+    if (options.added.empty()) return out;
+    std::stable_sort(out.views.begin(), out.views.end(), [](const View& a, const View& b) { return natural_less(a.name, b.name); });
+    if (!out.posed) {  // a focal length for some helps nobody
+        const bool known = std::all_of(out.views.begin(), out.views.end(), [](const View& v) { return v.camera.intrinsics.fx > 0; });
+        for (View& v : out.views)
+            if (!known) v.camera.intrinsics.fx = v.camera.intrinsics.fy = 0;
+    }
     return out;
 }
 

@@ -5,6 +5,8 @@
 #include <tbb/global_control.h>
 
 #include <cmath>
+#include <numeric>
+#include <random>
 
 #include "support/carve_cases.h"
 #include "support/dense_oracle.h"
@@ -88,6 +90,71 @@ TEST(Carve, BricksMergeIntoTheWhole) {
                 bricks.push_back(carve(s.inputs, o, quiet).hull);
             }
     expect_same(*whole, *merge_bricks(bricks));
+}
+
+// Views that come one by one, in any order: after each the hull is that of a carve of all so far. Fields of known views are there where they ignore pixels only.
+TEST_P(Hierarchical, ViewsAddedOneByOneGiveTheSameBits) {
+    const CarveCase& c = GetParam();
+    const Shoot s = c.make();
+    CarveOptions o = options_for(s, c.resolution);
+    c.change(o);
+    o.allow_empty = true;
+    Progress quiet;
+    std::mt19937 random(7);
+    std::vector<size_t> order(s.inputs.size());
+    std::iota(order.begin(), order.end(), size_t{0});
+    size_t asked = 0, asked_anew = 0;
+    for (int round = 0; round < 2; ++round) {
+        std::shuffle(order.begin(), order.end(), random);
+        const auto first_of = [&](size_t n) {
+            std::vector<CarveInput> out;
+            for (size_t i = 0; i < n; ++i) out.push_back(s.inputs[order[i]]);
+            return out;
+        };
+        openvdb::FloatGrid::Ptr hull = carve(first_of(2), o, quiet).hull;
+        // Mostly one at a time; the last round's second step brings three.
+        for (size_t known = 2; known < order.size();) {
+            const size_t next = std::min(order.size(), known + (round == 1 && known == 3 ? 3 : 1));
+            std::vector<CarveInput> inputs = first_of(next);
+            const CarveResult whole = carve(inputs, o, quiet);
+            for (size_t i = 0; i < known; ++i)
+                if (s.scene.masks[order[i]].ignore.empty()) inputs[i].field = nullptr;
+            const FieldSource source = [&](size_t first, size_t last) {
+                std::vector<MaskView> masks;
+                for (size_t i = first; i < last; ++i) masks.push_back(view_of(s.scene.masks[order[i]]));
+                return distance_fields(masks, {}, quiet);
+            };
+            const CarveResult extended = extend_hull(hull, known, inputs, source, o, quiet);
+            hull = extended.hull;
+            EXPECT_NO_FATAL_FAILURE(expect_same(*whole.hull, *hull)) << "with " << next << " views";
+            EXPECT_EQ(extended.statistics.leaves, whole.statistics.leaves);
+            EXPECT_EQ(extended.statistics.active_voxels, whole.statistics.active_voxels);
+            EXPECT_EQ(extended.statistics.clipped_share, whole.statistics.clipped_share);
+            asked += extended.statistics.voxel_lookups;
+            asked_anew += whole.statistics.voxel_lookups;
+            known = next;
+        }
+    }
+    std::printf("%s: %.2f of the look-ups of carving anew\n", c.name.c_str(), static_cast<double>(asked) / static_cast<double>(asked_anew));
+    if (c.name == "orthographic") { EXPECT_LT(2 * asked, asked_anew); }  // whose frames hold the bounds whole
+}
+
+TEST(Carve, AHullOfOtherVoxelsIsNotExtended) {
+    const Shoot s = shoot(small_spec("ellipsoids", 4));
+    CarveOptions o = options_for(s, 32);
+    Progress quiet;
+    const auto hull = carve({s.inputs.begin(), s.inputs.end() - 1}, o, quiet).hull;
+    const FieldSource none = [](size_t, size_t) { return std::vector<DistanceField>(); };
+    CarveOptions other = o;
+    other.lattice.voxel_size *= 1.01;
+    EXPECT_THROW(extend_hull(hull->deepCopy(), 3, s.inputs, none, other, quiet), UsageError);
+    other = o;
+    other.occupancy = true;
+    EXPECT_THROW(extend_hull(hull->deepCopy(), 3, s.inputs, none, other, quiet), UsageError);
+    EXPECT_THROW(extend_hull(hull->deepCopy(), 4, s.inputs, none, o, quiet), UsageError);
+    std::vector<CarveInput> bare = s.inputs;
+    bare.back().field = nullptr;
+    EXPECT_THROW(extend_hull(hull->deepCopy(), 3, bare, none, o, quiet), UsageError);
 }
 
 // Fields made a few views at a time: the same hull, whatever the options.

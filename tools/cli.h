@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cmath>
+#include <filesystem>
 
 #include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
@@ -24,9 +25,11 @@ struct Common {
 struct Command {
     CLI::App* app;
     std::function<int(Common&, Progress&)> run;
+    bool streams = false;  ///< with --json it tells how far it is, one event a line
 };
 
 Command add_reconstruct(CLI::App& program);
+Command add_watch(CLI::App& program);
 Command add_mask(CLI::App& program);
 Command add_align(CLI::App& program);
 Command add_carve(CLI::App& program);
@@ -40,8 +43,12 @@ Command add_evaluate(CLI::App& program);
 Command add_export(CLI::App& program);
 Command add_render(CLI::App& program);
 Command add_report(CLI::App& program);
+Command add_bundle(CLI::App& program);
 /// `name` is a stage of reconstruct that is to be done anew, with other options.
 Command add_again(CLI::App& program, const char* name, const char* what, const char* example);
+
+/// A page about the program and one about each command: NAME.md, vdbcarve-NAME.1 (man). Throws OutputError.
+void write_pages(const CLI::App& program, const std::filesystem::path& folder);
 
 /// The whole program on a command line, without its own name. Returns the exit code.
 int run_program(const std::vector<std::string>& words);

@@ -10,6 +10,7 @@
 
 #include "cli.h"
 #include "vdbcarve/pipeline.h"
+#include "vdbcarve/watch.h"
 
 namespace vdbcarve::cli {
 namespace {
@@ -20,6 +21,7 @@ struct Raw {
     std::string video_range, angles, rings, sittings, principal_point, mat, paper_views, known_length;
     double pass_band = 0;
     bool resume = false;  // finished stages are never redone anyway; the flag says so in scripts
+    WatchOptions watch;   // but for its `reconstruct`
 };
 
 /// "8G", "500M", "64K" or plain bytes; powers of 1024.
@@ -121,8 +123,8 @@ void read_raw(Raw& raw) {
     read_alignment(raw);
 }
 
-/// The effective configuration of one command: everything that has a value, defaults included.
-std::string config_of(const CLI::App& program, const std::string& command) {
+/// The effective configuration of one command, as one of the command `to`: everything that has a value, defaults included.
+std::string config_of(const CLI::App& program, const std::string& command, const std::string& to) {
     std::istringstream all(program.config_to_str(true, false));
     std::string out, line;
     while (std::getline(all, line)) {
@@ -130,7 +132,7 @@ std::string config_of(const CLI::App& program, const std::string& command) {
         if (line.rfind(command + ".", 0) != 0 || equals == std::string::npos) continue;
         const std::string value = line.substr(equals + 1);
         // CLI11 spells what was not given as "" or, of a flag, false; reading that back would not parse.
-        if (value != "\"\"" && value != "false") out += line + "\n";
+        if (value != "\"\"" && value != "false") out += to + line.substr(command.size()) + "\n";
     }
     return out;
 }
@@ -244,7 +246,44 @@ void add_alignment(CLI::App& app, Raw& raw) {
     app.add_flag("--accept-unobservable", raw.options.accept_unobservable, "go on with cameras that the silhouettes do not determine")->group(group);
 }
 
-Command add(CLI::App& program, const char* name, const char* what, LastStage last, const char* example) {
+/// For the log and, where it is asked for, as JSON.
+void say_stage(const std::string& event, bool json) {
+    if (json) std::cout << event << std::endl;
+    const auto field = [&](const std::string& key) {
+        const size_t at = event.find("\"" + key + "\":") + key.size() + 3;
+        return event.substr(at, event.find_first_of(",}", at) - at);
+    };
+    const bool reused = field("reused") == "true";
+    spdlog::debug("{:<10} peak memory {:.0f} MB", "", std::stod(field("peak_rss_bytes")) / 1e6);
+    spdlog::info("{:<10} {:>8.2f} s{}", field("name").substr(1, field("name").size() - 2), std::stod(field("seconds")), reused ? "  (already there)" : "");
+}
+
+void say_result(const Reconstruction& result, const ReconstructOptions& options, bool json) {
+    if (json) {
+        std::string line = result.report_json;
+        line.erase(std::remove(line.begin(), line.end(), '\n'), line.end());
+        std::cout << line << std::endl;
+    } else if (options.dry_run) {
+        std::cout << result.report_json;
+    }
+    if (options.dry_run) return;
+    if (options.last_stage == LastStage::Export)
+        spdlog::info("mesh: {} vertices, {} faces, {}{}, genus {}, volume {:.6g}; silhouette IoU median {:.4f}, minimum {:.4f}", result.mesh.vertices,
+                     result.mesh.faces, result.mesh.manifold ? "closed manifold" : "NOT a closed manifold",
+                     result.mesh.components > 1 ? " in " + std::to_string(result.mesh.components) + " pieces" : std::string(), result.mesh.genus, result.mesh.volume,
+                     result.median_iou, result.minimum_iou);
+    spdlog::info("result in {}", options.output.string());
+}
+
+/// What watch has besides.
+void add_watch_options(CLI::App& app, WatchOptions& w) {
+    app.add_option("--first-views", w.first_views, "so many must be here before bounds and voxels are fixed (--bounds, --voxel-size fix them by hand)")->capture_default_str()->check(CLI::Range(1, 65535))->group("Watch");
+    app.add_option("--until", w.until_views, "end when the result is of so many views (0: go on)")->capture_default_str()->group("Watch");
+    app.add_option("--idle", w.idle_s, "end when nothing has changed for so many seconds (0: go on until Ctrl-C)")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Watch");
+    app.add_option("--settle", w.settle_s, "a file that did not change for so many seconds is whole")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Watch");
+}
+
+Command add(CLI::App& program, const char* name, const char* what, LastStage last, const char* example, bool live = false) {
     auto raw = std::make_shared<Raw>();
     ReconstructOptions& o = raw->options;
     o.last_stage = last;
@@ -281,8 +320,10 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Carving");
         app->add_option_function<std::string>("--memory-limit", [raw](const std::string& text) { raw->options.memory_limit = bytes_of("--memory-limit", text); },
                                               "resident memory that may be used, like 8G or 500M (default: nine tenths of the machine's)");
-        app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
+        if (!live) app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
+        if (!live) app->add_option("--add", o.views.added, "SCENE2: its views are taken too, of the same world; where OUT holds a result already, its bounds and voxels are kept and its hull is extended. The scene itself: photographs that came into it")->check(CLI::ExistingDirectory)->group("Scene");
     }
+    if (live) add_watch_options(*app, raw->watch);
     if (last == LastStage::Export) {
         add_choice<Mesher>(*app, "--mesher", o.mesher, {{"dual", Mesher::Dual}, {"marching-cubes", Mesher::MarchingCubes}}, "dual (OpenVDB's, default) or marching-cubes")->group("Result");
         app->add_flag("--normals", o.normals, "vertex normals from the volume's gradient, in mesh.ply (--mesher marching-cubes)")->group("Result");
@@ -323,6 +364,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         add_dcc_option(*app, o.dcc);
         app->add_flag("--vdb-half", o.vdb_half, "16-bit floats in volume.vdb: two thirds of the size, three digits")->group("Result");
         app->add_flag("--stl-mm", o.stl_mm, "mesh.stl in millimetres, for printers (needs --units, or a scene that says them)")->group("Result");
+        app->add_flag_function("--no-report", [&o](int64_t count) { o.report = count <= 0; }, "no report.html")->group("Result");
         app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,glb,stl")->delimiter(',')->capture_default_str()->group("Result");
     }
     if (last != LastStage::Mask) {
@@ -340,39 +382,32 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, km, inch, ft")->group("Result");
     app->add_flag("--force", o.force, "write into a folder that vdbcarve did not make");
     app->add_flag("--resume", raw->resume, "go on where a run stopped (always so: finished stages are never redone)");
-    return {app, [raw, app, &program](Common& common, Progress& progress) {
+    return {app, [raw, app, live, &program](Common& common, Progress& progress) {
                 read_raw(*raw);
                 ReconstructOptions& options = raw->options;
-                options.config_text = config_of(program, app->get_name());
                 const bool json = common.json == "-";
-                options.on_stage = [&](const std::string& event) {
-                    if (json) std::cout << event << std::endl;
-                    const auto field = [&](const std::string& key) {
-                        const size_t at = event.find("\"" + key + "\":") + key.size() + 3;
-                        return event.substr(at, event.find_first_of(",}", at) - at);
-                    };
-                    const bool reused = field("reused") == "true";
-                    spdlog::debug("{:<10} peak memory {:.0f} MB", "", std::stod(field("peak_rss_bytes")) / 1e6);
-                    spdlog::info("{:<10} {:>8.2f} s{}", field("name").substr(1, field("name").size() - 2), std::stod(field("seconds")), reused ? "  (already there)" : "");
-                };
-                const Reconstruction result = reconstruct(options, progress);
-                if (json) {
-                    std::string line = result.report_json;
-                    line.erase(std::remove(line.begin(), line.end(), '\n'), line.end());
-                    std::cout << line << std::endl;
-                } else if (options.dry_run) {
-                    std::cout << result.report_json;
+                options.on_stage = [&](const std::string& event) { say_stage(event, json); };
+                if (live) {
+                    // What it makes is a result of reconstruct, which its stages can be done anew from.
+                    std::istringstream lines(config_of(program, app->get_name(), "reconstruct"));
+                    for (std::string line; std::getline(lines, line);) {
+                        const std::string option = line.substr(0, line.find('='));
+                        if (option != "reconstruct.first-views" && option != "reconstruct.until" && option != "reconstruct.idle" && option != "reconstruct.settle") options.config_text += line + "\n";
+                    }
+                    options.config_text += "reconstruct.add=[\"" + options.views.scene.string() + "\"]\n";
+                    if (!options.mask.allow_missing) options.config_text += "reconstruct.allow-missing=true\n";
+                    raw->watch.reconstruct = options;
+                    raw->watch.on_result = [&](const Reconstruction& result) { say_result(result, options, json); };
+                    const Reconstruction last = watch(raw->watch, progress);
+                    if (!last.contradiction.empty()) throw ContradictionError(last.contradiction);
+                    return 0;
                 }
-                if (options.dry_run) return 0;
-                if (options.last_stage == LastStage::Export)
-                    spdlog::info("mesh: {} vertices, {} faces, {}{}, genus {}, volume {:.6g}; silhouette IoU median {:.4f}, minimum {:.4f}", result.mesh.vertices,
-                                 result.mesh.faces, result.mesh.manifold ? "closed manifold" : "NOT a closed manifold",
-                                 result.mesh.components > 1 ? " in " + std::to_string(result.mesh.components) + " pieces" : std::string(), result.mesh.genus, result.mesh.volume,
-                                 result.median_iou, result.minimum_iou);
-                spdlog::info("result in {}", options.output.string());
-                if (!result.contradiction.empty()) throw ContradictionError(result.contradiction);
+                options.config_text = config_of(program, app->get_name(), app->get_name());
+                const Reconstruction result = reconstruct(options, progress);
+                say_result(result, options, json);
+                if (!result.contradiction.empty() && !options.dry_run) throw ContradictionError(result.contradiction);
                 return 0;
-            }};
+            }, true};
 }
 
 }  // namespace
@@ -385,6 +420,15 @@ Command add_reconstruct(CLI::App& program) {
                "  vdbcarve reconstruct photos --cameras aligned/cameras.json -o out        cameras that align found\n"
                "  vdbcarve reconstruct photos --method mat --mat mat.pdf.json -o out       cameras from a mat that board made, in true size\n"
                "  vdbcarve reconstruct shoot --units mm --dcc blender -o out               in Blender's axes and metres");
+}
+Command add_watch(CLI::App& program) {
+    return add(program, "watch", "reconstruct while photographs arrive in a folder", LastStage::Export,
+               "Examples:\n"
+               "  vdbcarve watch shoot -o out                                              shoot has the cameras of all views to come; until Ctrl-C\n"
+               "  vdbcarve watch shoot --mask chroma --bounds -100,-100,0,100,100,200 --voxel-size 0.5 -o out   bounds that are known\n"
+               "  vdbcarve watch shoot --until 36 -o out                                   ends with the 36th view\n"
+               "Masks and the hull are extended by what is new, later stages follow; out/report.html and out/preview.png are of what is there.\n"
+               "Takes all options of reconstruct. Cameras that are to be found are found anew from all photographs each time.", true);
 }
 Command add_align(CLI::App& program) {
     return add(program, "align", "cameras from silhouettes, texture or a marker mat, into OUT/cameras.json", LastStage::Align,

@@ -8,7 +8,9 @@
 #include <cmath>
 #include <csignal>
 #include <cstdio>
+#include <iostream>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <utility>
 
@@ -55,6 +57,22 @@ class Bar {
     double share_ = 0;
     bool drawn_something_ = false;
     std::chrono::steady_clock::time_point start_, drawn_;
+};
+
+/// Some progress events a second, and the last of every stage.
+class Pace {
+  public:
+    bool is_due(const std::string& stage, double share) {
+        const auto now = std::chrono::steady_clock::now();
+        if (stage == stage_ && share < 1 && now - last_ < std::chrono::milliseconds(250)) return false;
+        stage_ = stage;
+        last_ = now;
+        return true;
+    }
+
+  private:
+    std::string stage_;
+    std::chrono::steady_clock::time_point last_;
 };
 
 }  // namespace
@@ -140,6 +158,8 @@ int run_program(const std::vector<std::string>& words) {
         "  vdbcarve export out -o volume.nvdb model.stl      other formats\n"
         "  vdbcarve render out -o turn.mp4                   a film of one turn; .png: a picture\n"
         "  vdbcarve report out                               a page about it: the model in 3-D, which view is wrong, how long it took\n"
+        "  vdbcarve watch shoot -o out                       the same while photographs arrive\n"
+        "  vdbcarve bundle out                               what somebody needs to see why it failed, in one file\n"
         "  vdbcarve bench                                    how fast this machine carves"
         "\n"
         "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");
@@ -150,12 +170,16 @@ int run_program(const std::vector<std::string>& words) {
     program.add_option("--json", common.json, "'-': JSON on stdout, one event a line, the report last")->check(CLI::IsMember({"-"}));
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
-    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_report(program), cli::add_bench(program), cli::add_board(program),
+    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_watch(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_report(program), cli::add_bundle(program), cli::add_bench(program), cli::add_board(program),
                                        cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
                                        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
                                        cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
                                        cli::add_again(program, "smooth", "smooth or decimate a result's mesh anew: OUT and options of reconstruct", "--smooth 10 --faces 50000")};
+    if (words.size() == 2 && words[0] == "--write-pages") {
+        cli::write_pages(program, words[1]);
+        return 0;
+    }
     try {
         program.parse(std::vector<std::string>(words.rbegin(), words.rend()));  // as CLI11 wants them
     } catch (const Error& e) {  // a value that an option's own reader refused
@@ -202,15 +226,32 @@ int run_program(const std::vector<std::string>& words) {
         if (bar.on_screen()) bar.clear();
         spdlog::log(level, "{}", text);
     };
-    progress.on_note = [&](const std::string& text) { say(spdlog::level::info, text); };
+    const bool streams = common.json == "-" && std::any_of(commands.begin(), commands.end(), [](const cli::Command& c) { return c.streams && c.app->parsed(); });
+    const auto event = [&](const nlohmann::ordered_json& what) {
+        if (streams) std::cout << what.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) << std::endl;
+    };
+    progress.on_note = [&](const std::string& text) {
+        say(spdlog::level::info, text);
+        event({{"event", "note"}, {"text", text}});
+    };
     progress.on_detail = [&](const std::string& text) { say(spdlog::level::debug, text); };
-    progress.on_warning = [&](const std::string& text) { say(spdlog::level::warn, text); };
-    if (isatty(STDERR_FILENO) && !common.quiet) progress.on_progress = [&](const std::string& stage, double share) { bar.show(stage, share); };
+    progress.on_warning = [&](const std::string& text) {
+        say(spdlog::level::warn, text);
+        event({{"event", "warning"}, {"text", text}});
+    };
+    const bool shown = isatty(STDERR_FILENO) && !common.quiet;
+    Pace pace;
+    if (shown || streams)
+        progress.on_progress = [&](const std::string& stage, double share) {
+            if (shown) bar.show(stage, share);
+            if (streams && pace.is_due(stage, share)) event({{"event", "progress"}, {"stage", stage}, {"share", share}});
+        };
 
     std::optional<tbb::global_control> limit;
     if (common.threads > 0) limit.emplace(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(common.threads));
     const auto fail = [&](ExitCode code, const std::string& text) {
         if (bar.on_screen()) bar.clear();
+        event({{"event", "error"}, {"exit_code", static_cast<int>(code)}, {"text", text}});
         spdlog::error("{}", text);
         return static_cast<int>(code);
     };

@@ -92,6 +92,13 @@ CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& opt
 using FieldSource = std::function<std::vector<DistanceField>(size_t first, size_t last)>;
 CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource& fields_of, const CarveOptions& options, Progress& progress);
 
+/// A hull with more views: `hull` is what carve() makes of the inputs i < known, with these options; the result is what it makes of all, bit for bit, in whatever order views come.
+/// Without allowed misses, and where enough views have a place in frame before and after, a new view can only take away: the places that its silhouette's edge cuts are asked
+/// about it alone. Elsewhere (misses, --min-seen) the places where the new views say anything are asked of all views, whose fields `fields_of` then makes. Fields that must be there: those of the
+/// new views, and of known ones that ignore pixels. Not for occupancy or bricks. Cost: about the part of the new cones' edges that is in the bounds. The hull is used up. Statistics count what was
+/// asked now. Errors like carve().
+CarveResult extend_hull(openvdb::FloatGrid::Ptr hull, size_t known, const std::vector<CarveInput>& inputs, const FieldSource& fields_of, const CarveOptions& options, Progress& progress);
+
 /// How finely and how far out distance fields must be sampled for a carve.
 struct FieldPlan {
     int scale = 1;             ///< DistanceOptions::scale

@@ -102,6 +102,15 @@ Image8 seed_of_box(int width, int height, const std::optional<std::array<int, 4>
 /// Of a mask that is right but for `uncertain_px` along its edge.
 Image8 seed_of_mask(ImageView<uint8_t> coverage, double uncertain_px);
 
+/// The options with what is found from all photographs together found: the level of a threshold, a cloth's colour and level. make_masks does it where it was not done.
+MaskOptions settle(const Views& views, const MaskOptions& options, const std::vector<std::filesystem::path>& edited, Progress& progress);
+
+/// A mask that was made before, from the same files with the same settled options.
+struct KnownMask {
+    Mask mask;
+    std::string origin;
+};
+
 struct Masks {
     std::vector<Mask> masks;           ///< in the order of views; undistorted, the size of the camera
     std::vector<std::string> origins;  ///< where each came from, in words
@@ -109,10 +118,10 @@ struct Masks {
 };
 
 /// Masks of all views: found, checked and undistorted, views in parallel. `edited` holds masks that the
-/// user changed by hand in an earlier result, by view index (empty path: none); they win.
+/// user changed by hand in an earlier result, by view index (empty path: none); they win. `known` holds, by view index (or nothing at all), masks that need not be made.
 /// Throws InputError naming file, view, value and remedy.
 Masks make_masks(const Views& views, const std::filesystem::path& scene, const MaskOptions& options,
-                 const std::vector<std::filesystem::path>& edited, Progress& progress);
+                 const std::vector<std::filesystem::path>& edited, Progress& progress, std::vector<std::optional<KnownMask>> known = {});
 
 /// The files that the masks of a view would be made from, for keying caches.
 std::vector<std::filesystem::path> mask_files(const View& view, const std::filesystem::path& scene,

@@ -30,7 +30,9 @@ namespace vdbcarve {
 enum class LastStage { Mask, Align, Carve, Export };
 
 struct ReconstructOptions {
-    ViewsOptions views;                              ///< views.scene may be a film: its frames become the photographs
+    /// views.scene may be a film: its frames become the photographs. Where views.added is not empty and the output holds a result with the same cameras, that result's bounds and voxels are
+    /// kept, so that its hull is extended by the views that it lacks.
+    ViewsOptions views;
     VideoOptions video;
     MaskOptions mask;
     AlignOptions align;                              ///< where cameras are to be found or improved
@@ -93,6 +95,7 @@ struct ReconstructOptions {
     LastStage last_stage = LastStage::Export;
     bool force = false;                              ///< write into a folder that vdbcarve did not make
     bool dry_run = false;                            ///< plan only
+    bool report = true;                              ///< write report.html, too
     std::string config_text;                         ///< effective configuration, written as config.toml
     std::function<void(const std::string& json)> on_stage;  ///< one JSON object when a stage ends
 };
@@ -101,6 +104,9 @@ struct Reconstruction {
     std::string report_json;  ///< what report.json holds (of a dry run: the plan)
     MeshMeasures mesh;
     double median_iou = 0, minimum_iou = 0;
+    size_t views = 0;         ///< that were carved with
+    size_t added_views = 0;   ///< of them, those that the hull of an earlier run was extended by
+    double extend_seconds = 0;  ///< for that: their fields and the hull, without masks and files
     std::string contradiction;  ///< why the result, which was written, is not to be trusted: most silhouettes contradict it; empty: they do not
 };
 

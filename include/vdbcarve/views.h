@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -23,6 +24,7 @@ struct View {
     Lens lens;                          ///< what has to be removed from image and mask
     std::string sitting = "0";          ///< which sitting of the object this view belongs to
     std::string unused;                 ///< why it is neither carved with nor coloured from; empty: it is
+    std::filesystem::path scene;        ///< the added scene that it is from, where its mask is looked for; empty: from the scene itself
 };
 
 /// The object may be turned over or moved between two rounds of photographs: each round is a sitting, with
@@ -64,13 +66,18 @@ struct ViewsOptions {
     bool allow_missing = false;          ///< leave out views whose image or mask is missing
     bool cameras_only = false;           ///< images need not be there when the file knows their sizes
     std::string up, units;               ///< override what the file says
+    /// Further scenes whose views are taken too, each with a camera file of its own in the same world (or, like the scene, with none). A photograph that is there already is not taken twice, so
+    /// the scene itself may be among them.
+    std::vector<std::filesystem::path> added;
+    /// Photographs may still be arriving: one for which this says no is not there yet, and nobody is warned of those that are missing. Empty: all that is there is whole.
+    std::function<bool(const std::filesystem::path& photo)> is_whole;
 };
 
 /// Finds and reads the camera file of a scene and resolves its images. Order of search, first match by
 /// content: transforms.json, transforms_train.json, our cameras.json, sparse/0, sparse, colmap, the
 /// folder itself (COLMAP, binary before text), *_par.txt, *.pa. Views come in natural order of names.
 /// Without any, where allow_unposed says so, every photograph (or mask, where there are only masks) is a view without a pose, its focal length
-/// the one that the file says (EXIF), or 0. Throws InputError naming the file, view, value and remedy.
+/// the one that the file says (EXIF), or 0. Views of two scenes may not share a name. Throws InputError naming the file, view, value and remedy.
 Views load_views(const ViewsOptions& options, Progress& progress);
 
 /// Throws InputError for cameras that cannot be carved with (not finite, left-handed, no focal length, no

@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/watch.h"
+
+#include <algorithm>
+#include <chrono>
+#include <map>
+#include <optional>
+#include <thread>
+
+#include "text.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/video.h"
+
+namespace vdbcarve {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+namespace {
+
+/// The files of a folder, and since when each has been as it is.
+class Folder {
+  public:
+    Folder(fs::path root, fs::path without, double settle_s) : root_(std::move(root)), without_(fs::weakly_canonical(without)), settle_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settle_s))) {}
+
+    void look() {
+        const auto now = Clock::now();
+        std::map<fs::path, File> seen;
+        std::error_code gone;  // files may vanish under our eyes
+        for (auto it = fs::recursive_directory_iterator(root_, fs::directory_options::follow_directory_symlink | fs::directory_options::skip_permission_denied, gone); !gone && it != fs::recursive_directory_iterator(); it.increment(gone)) {
+            std::error_code error;
+            if (it->is_directory(error)) {
+                if (fs::weakly_canonical(it->path(), error) == without_ || it.depth() > 3) it.disable_recursion_pending();
+                continue;
+            }
+            File file;
+            file.size = it->file_size(error);
+            if (!error) file.written = it->last_write_time(error);
+            if (error) continue;
+            const auto known = files_.find(it->path());
+            const bool same = known != files_.end() && known->second.size == file.size && known->second.written == file.written;
+            if (same) {
+                file.since = known->second.since;
+            } else {
+                // What was here long before is whole at first sight; a clock that is ahead says nothing.
+                const auto age = fs::file_time_type::clock::now() - file.written;
+                file.since = known == files_.end() && age > settle_ ? now - settle_ : now;
+            }
+            seen.emplace(it->path(), file);
+        }
+        files_ = std::move(seen);
+        looked_ = now;
+    }
+
+    bool is_whole(const fs::path& path) const {
+        const auto found = files_.find(path);
+        return found != files_.end() && found->second.size > 0 && looked_ - found->second.since >= settle_;
+    }
+    /// The photograph, and what is called like it: its mask.
+    bool is_whole_with_mask(const fs::path& photo) const {
+        const std::string stem = photo.stem().string();
+        return is_whole(photo) && std::none_of(files_.begin(), files_.end(), [&](const auto& f) { return f.first.filename().string().rfind(stem, 0) == 0 && !is_whole(f.first); });
+    }
+
+    /// Of the whole files, by which a change shows.
+    std::string state() const {
+        std::string out;
+        for (const auto& [path, file] : files_)
+            if (is_whole(path)) out += path.string() + "|" + std::to_string(file.size) + "|" + std::to_string(file.written.time_since_epoch().count()) + "\n";
+        return out;
+    }
+    bool all_whole() const {
+        return std::all_of(files_.begin(), files_.end(), [&](const auto& f) { return is_whole(f.first); });
+    }
+
+  private:
+    struct File {
+        uintmax_t size = 0;
+        fs::file_time_type written;
+        Clock::time_point since;
+    };
+    fs::path root_, without_;
+    Clock::duration settle_;
+    std::map<fs::path, File> files_;
+    Clock::time_point looked_;
+};
+
+}  // namespace
+
+Reconstruction watch(const WatchOptions& options, Progress& progress) {
+    const fs::path scene = options.reconstruct.views.scene;
+    if (is_video(scene)) throw UsageError(scene.string() + ": is a film, all of which is there. Remedy: vdbcarve reconstruct");
+    if (!fs::is_directory(scene)) throw InputError(scene.string() + ": there is no such folder to watch");
+    if (!(options.settle_s >= 0) || !(options.poll_s > 0)) throw UsageError("watch: files settle in 0 s or more, and are looked at more than 0 s apart");
+    Folder folder(scene, options.reconstruct.output, options.settle_s);
+    ReconstructOptions job = options.reconstruct;
+    job.views.added = {scene};
+    job.views.allow_missing = job.mask.allow_missing = true;
+    job.views.is_whole = [&](const fs::path& file) { return folder.is_whole_with_mask(file); };
+
+    Reconstruction result;
+    std::optional<std::string> done;  ///< state of the folder that was tried last
+    std::string waiting;              ///< for what, as it was said last
+    std::exception_ptr trouble;       ///< of the last try
+    size_t made = 0;
+    const auto wait_for = [&](const std::string& what) {
+        if (what != waiting) progress.note("waiting: " + what);
+        waiting = what;
+    };
+    auto changed = Clock::now();
+    for (;; std::this_thread::sleep_for(std::chrono::duration<double>(options.poll_s))) {
+        progress.check();
+        folder.look();
+        const std::string state = folder.state();
+        if (done != state) {
+            done = state;
+            try {
+                ViewsOptions so_far = job.views;
+                so_far.added.clear();
+                so_far.allow_unposed = true;
+                so_far.units.clear();
+                Progress quiet;
+                const size_t views = load_views(so_far, quiet).views.size();
+                if (views < options.first_views) {
+                    wait_for(std::to_string(views) + " of the first " + counted(options.first_views, "view") + " are here");
+                } else {
+                    const auto start = Clock::now();
+                    result = reconstruct(job, progress);
+                    trouble = nullptr;
+                    ++made;
+                    waiting.clear();
+                    progress.note(text_of("%s: result in %.1f s", counted(result.views, "view").c_str(), std::chrono::duration<double>(Clock::now() - start).count()));
+                    if (!result.contradiction.empty()) progress.warn(result.contradiction);
+                    if (options.on_result) options.on_result(result);
+                }
+            } catch (const InputError& e) {
+                trouble = std::current_exception();
+                wait_for(e.what());
+            } catch (const ContradictionError& e) {
+                trouble = std::current_exception();
+                wait_for(e.what());
+            } catch (const UndeterminedError& e) {
+                trouble = std::current_exception();
+                wait_for(e.what());
+            }
+            changed = Clock::now();
+            if (options.until_views && made && !trouble && result.views >= options.until_views) return result;
+        }
+        if (!folder.all_whole()) changed = Clock::now();
+        if (options.idle_s > 0 && std::chrono::duration<double>(Clock::now() - changed).count() > options.idle_s) {
+            if (trouble) std::rethrow_exception(trouble);
+            if (!made) throw InputError(scene.string() + ": nothing came (" + (waiting.empty() ? "no photograph" : waiting) + ")");
+            return result;
+        }
+    }
+}
+
+}  // namespace vdbcarve

@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+// What --help says, as Markdown and as man pages: written from the options themselves, so that they cannot disagree.
+#include <algorithm>
+#include <cctype>
+#include <fstream>
+#include <sstream>
+
+#include "cli.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/version.h"
+
+namespace vdbcarve::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// One text in two dress codes.
+class Page {
+  public:
+    virtual ~Page() = default;
+    virtual void title(const std::string& name, const std::string& what) = 0;
+    virtual void heading(const std::string& text) = 0;
+    virtual void item(const std::string& term, const std::string& text) = 0;
+    virtual void as_typed(const std::string& text) = 0;
+    std::string text() const { return out_.str(); }
+
+  protected:
+    std::ostringstream out_;
+};
+
+class Markdown : public Page {
+  public:
+    void title(const std::string& name, const std::string& what) override { out_ << "# " << name << "\n\n" << escaped(what) << "\n"; }
+    void heading(const std::string& text) override { out_ << "\n## " << text << "\n\n"; }
+    void item(const std::string& term, const std::string& text) override {
+        const size_t end = text.find('\n');  // a drawing may follow
+        out_ << "- `" << term << "`  \n  " << escaped(text.substr(0, end)) << "\n";
+        if (end != std::string::npos) {
+            std::istringstream lines(text.substr(end + 1));
+            out_ << "\n";
+            for (std::string line; std::getline(lines, line);) out_ << "      " << line << "\n";
+            out_ << "\n";
+        }
+    }
+    void as_typed(const std::string& text) override { out_ << "```\n" << text << (text.empty() || text.back() != '\n' ? "\n" : "") << "```\n"; }
+
+  private:
+    static std::string escaped(const std::string& text) {
+        std::string out;
+        for (const char c : text) {
+            if (c == '<' || c == '*' || c == '_' || c == '`' || c == '|') out += '\\';
+            out += c;
+        }
+        return out;
+    }
+};
+
+class Man : public Page {
+  public:
+    void title(const std::string& name, const std::string& what) override {
+        std::string file = name;
+        std::replace(file.begin(), file.end(), ' ', '-');
+        out_ << ".TH \"" << upper(file) << "\" 1 \"\" \"vdbcarve " << kVersion << "\" \"vdbcarve\"\n.SH NAME\n" << roff(file) << " \\- " << roff(what) << "\n";
+    }
+    void heading(const std::string& text) override { out_ << ".SH " << roff(upper(text)) << "\n"; }
+    void item(const std::string& term, const std::string& text) override {
+        const size_t end = text.find('\n');
+        out_ << ".TP\n.B " << roff(term) << "\n" << roff(text.substr(0, end)) << "\n";
+        if (end != std::string::npos) as_typed(text.substr(end + 1));
+    }
+    void as_typed(const std::string& text) override { out_ << ".nf\n" << roff(text) << "\n.fi\n"; }
+
+  private:
+    static std::string upper(std::string text) {
+        for (char& c : text) c = static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
+        return text;
+    }
+    static std::string roff(const std::string& text) {
+        std::string out;
+        bool starts = true;
+        for (const char c : text) {
+            if (starts && (c == '.' || c == '\'')) out += "\\&";
+            if (c == '\\') out += "\\e";
+            else if (c == '-') out += "\\-";
+            else out += c;
+            starts = c == '\n';
+        }
+        return out;
+    }
+};
+
+/// "--resolution N": CLI11's types say more than anybody wants to read.
+std::string term_of(const CLI::Option& option) {
+    std::string out = option.get_positional() ? option.get_name(true) : option.get_name(false, true);
+    for (size_t at = 0; (at = out.find(',', at)) != std::string::npos; at += 2) out.replace(at, 1, ", ");
+    std::string type = option.get_type_size() == 0 ? "" : option.get_type_name();
+    type = type.substr(0, type.find(':'));
+    if (!type.empty() && !option.get_positional()) out += " " + type;
+    if (const std::string value = option.get_default_str(); !value.empty() && value != "\"\"" && option.get_type_size() != 0) out += " (" + value + ")";
+    return out;
+}
+
+void fill(Page& page, const CLI::App& app, const std::string& name) {
+    page.title(name, app.get_description());
+    std::string usage = name;
+    for (const CLI::Option* o : app.get_options())
+        if (o->get_required()) usage += o->get_positional() ? " " + o->get_name(true) : " " + o->get_name(false, false) + " " + o->get_type_name();
+    page.heading("Synopsis");
+    page.as_typed(usage + (app.get_subcommands([](const CLI::App*) { return true; }).empty() ? " [options]" : " COMMAND [options]"));
+    const auto commands = app.get_subcommands([](const CLI::App*) { return true; });
+    if (!commands.empty()) {
+        page.heading("Commands");
+        for (const CLI::App* c : commands) page.item(c->get_name(), c->get_description());
+    }
+    std::vector<std::string> groups;
+    for (const CLI::Option* o : app.get_options())
+        if (!o->get_group().empty() && std::find(groups.begin(), groups.end(), o->get_group()) == groups.end()) groups.push_back(o->get_group());
+    for (const std::string& group : groups) {
+        page.heading(group);
+        for (const CLI::Option* o : app.get_options())
+            if (o->get_group() == group) page.item(term_of(*o), o->get_description());
+    }
+    if (!app.get_footer().empty()) {
+        page.heading("Examples");
+        std::string footer = app.get_footer();
+        if (footer.rfind("Examples:\n", 0) == 0) footer.erase(0, 10);
+        page.as_typed(footer);
+    }
+}
+
+void put(const fs::path& file, const std::string& text) {
+    std::ofstream out(file, std::ios::binary);
+    out << text;
+    if (!out.flush()) throw OutputError(file.string() + ": cannot be written");
+}
+
+}  // namespace
+
+void write_pages(const CLI::App& program, const fs::path& folder) {
+    std::error_code error;
+    fs::create_directories(folder, error);
+    if (error) throw OutputError(folder.string() + ": cannot be made: " + error.message());
+    const auto write = [&](const CLI::App& app, const std::string& name, const std::string& file) {
+        Markdown markdown;
+        fill(markdown, app, name);
+        put(folder / (file + ".md"), markdown.text());
+        Man man;
+        fill(man, app, name);
+        put(folder / ((file == "vdbcarve" ? file : "vdbcarve-" + file) + ".1"), man.text());
+    };
+    write(program, "vdbcarve", "vdbcarve");
+    for (const CLI::App* command : program.get_subcommands([](const CLI::App*) { return true; })) write(*command, "vdbcarve " + command->get_name(), command->get_name());
+}
+
+}  // namespace vdbcarve::cli
