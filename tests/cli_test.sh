@@ -57,6 +57,36 @@ expect 0 'closed manifold' reconstruct scene --cameras ../"$(basename "$work")"/
 expect 0 '"event":"stage"' --json - reconstruct scene -o out4 --resolution 24
 check 'every line of --json - is a JSON object' test -z "$(grep -v '^{.*}$' stdout)"
 check 'the last line is the report' grep -q '"mesh"' <(tail -n 1 stdout)
+check 'progress is told' grep -q '"event":"progress","stage":"carve","share":1' stdout
+check 'warnings are told' grep -q '"event":"warning"' stdout
+expect 2 '"event":"error","exit_code":2,"text":"the bounds' --json - reconstruct scene -o failed --bounds 50,50,50,51,51,51
+expect 0 'failed.tar.gz: [0-9.]+ MB, no photographs' bundle failed
+check 'a bundle says what a run failed with' grep -q '"stage": "carve"' <(tar xzOf failed.tar.gz vdbcarve-bundle/failure/failure.json)
+expect 0 'b.tar.gz' bundle out -o b.tar.gz --width 60
+check 'a bundle is a scene' test -n "$(tar tzf b.tar.gz | grep scene/masks/0003.png)"
+tar xzf b.tar.gz
+expect 0 'closed manifold' reconstruct vdbcarve-bundle/scene -o replayed --resolution 24
+check 'reconstruct writes the page' grep -q 'worst first' out/report.html
+expect 3 'not made by vdbcarve' bundle scene
+expect 3 'no such folder' bundle nowhere
+# Photographs that arrive.
+mkdir -p arriving/images arriving/masks && cp scene/transforms.json arriving/
+for view in 0001 0003 0004 0005; do cp scene/masks/$view.png arriving/masks/; cp scene/images/$view.* arriving/images/; done
+expect 0 '4 views: result' watch arriving -o live --resolution 40 --idle 1 --settle 0.2
+for view in 0000 0002; do cp scene/masks/$view.png arriving/masks/; cp scene/images/$view.* arriving/images/; done
+expect 0 'the hull of 4 views is extended by 2 views' watch arriving -o live --resolution 40 --until 6 --settle 0.2
+expect 0 'closed manifold' reconstruct arriving --add arriving -o live --resolution 40
+expect 2 'voxels of .* lie otherwise' reconstruct arriving --add arriving -o live --resolution 41
+expect 0 'already there' filter live --filter median:1
+expect 3 'no such folder' watch nowhere -o live
+expect 3 'no such folder' reconstruct scene --add nowhere -o out
+mkdir waits
+expect 3 'neither cameras nor photographs' watch waits -o nothing --idle 0.3
+# The pages are what the options say.
+check 'pages are written' "$program" --write-pages pages
+check 'tools/commands is up to date (vdbcarve --write-pages DIR, then its .md)' diff -r --exclude '*.1' pages "$source/tools/commands"
+check 'there is a man page for every command' test "$(ls pages/*.1 | wc -l)" -eq "$(ls pages/*.md | wc -l)"
+if command -v groff >/dev/null; then check 'man pages have no mistakes' test -z "$(groff -man -ww -Tutf8 pages/*.1 2>&1 >/dev/null)"; fi
 # Cameras from silhouettes.
 expect 0 '16 views' synth ellipsoids -o turn --views 16 --width 320 --height 240
 expect 0 'cameras found: turntable' align turn --cameras none -o aligned --known-distance 300 --units mm

@@ -6,6 +6,7 @@
 //   vdbcarve_device_bench hull FOLDER N FILE      carves a packed scene at resolution N on the device and writes the hull as .vdb
 //   vdbcarve_device_bench color FOLDER GRID       colours a packed scene with photographs, step by step
 //   vdbcarve_device_bench render FOLDER GRID      pictures of a packed scene; and, at 128, 256 and 512, carving and looking at it again and again
+//   vdbcarve_device_bench add FOLDER N            views of a packed scene added one after another at resolution N, on the CPU and, where there is one, on the device
 //   vdbcarve_device_bench ceilings                what the device can do at most
 //   vdbcarve_device_bench once GRID               one run of all stages, for a profiler
 #include <algorithm>
@@ -15,6 +16,7 @@
 #include <iostream>
 #include <functional>
 #include <map>
+#include <optional>
 
 #include "device_ceilings.h"
 #include "support/packed_scene.h"
@@ -92,6 +94,85 @@ void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid,
                     100.0 * static_cast<double>(result.statistics.colored) / static_cast<double>(result.statistics.surface_voxels), inputs.size(), static_cast<double>(device.bytes()) / 1e6);
         print_medians(steps);
     }
+}
+
+/// What a view that arrives costs from its mask to the hull: extending, and carving anew; both give the same hull.
+void bench_add(const test::PackedScene& scene, int resolution, Progress& progress) {
+    using Clock = std::chrono::steady_clock;
+    const auto ms_since = [](Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); };
+    openvdb::initialize();
+    CarveOptions c;
+    c.bounds_world = scene.bounds;
+    c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / resolution;
+    c.allow_empty = true;
+    const FieldPlan plan = plan_fields(scene.cameras, c);
+    DistanceOptions d;
+    d.scale = plan.scale;
+    d.reach_samples = plan.reach_samples;
+    const std::vector<MaskView> all_masks = scene.mask_views();
+    const std::vector<CarveInput> all = scene.inputs();
+    // A stride that leaves none out, so that they come from all around.
+    std::vector<size_t> order;
+    for (size_t i = 0; i < all.size(); ++i) order.push_back(i * 7 % all.size());
+    const auto masks_of = [&](size_t first, size_t last) {
+        std::vector<MaskView> out;
+        for (size_t i = first; i < last; ++i) out.push_back(all_masks[order[i]]);
+        return out;
+    };
+    const FieldSource source = [&](size_t first, size_t last) { return distance_fields(masks_of(first, last), d, progress); };
+    const bool on_device = !cuda_devices().empty();
+    DevicePipeline* device = nullptr;
+    std::optional<DevicePipeline> here, one;
+    if (on_device) device = &here.emplace(), one.emplace();
+    std::map<std::string, std::vector<double>> steps;
+    openvdb::FloatGrid::Ptr hull;
+    size_t differing = 0;
+    for (size_t n = 4; n <= all.size(); ++n) {
+        std::vector<CarveInput> inputs;
+        for (size_t i = 0; i < n; ++i) inputs.push_back(all[order[i]]);
+        auto start = Clock::now();
+        const std::vector<DistanceField> fields = distance_fields(masks_of(0, n), d, progress);
+        for (size_t i = 0; i < n; ++i) inputs[i].field = &fields[i];
+        const openvdb::FloatGrid::Ptr whole = carve(inputs, c, progress).hull;
+        const double anew = ms_since(start);
+        if (n > 4) {
+            steps["CPU: carved anew"].push_back(anew);
+            std::vector<CarveInput> framed = inputs;
+            for (CarveInput& input : framed) input.field = nullptr;
+            start = Clock::now();
+            const std::vector<DistanceField> last = distance_fields(masks_of(n - 1, n), d, progress);
+            steps["CPU: field of the new view"].push_back(ms_since(start));
+            framed.back().field = &last.front();
+            hull = extend_hull(hull, n - 1, framed, source, c, progress).hull;
+            steps["CPU: added, field and hull"].push_back(ms_since(start));
+            differing += !(whole->tree().hasSameTopology(hull->tree()));
+            for (auto it = whole->cbeginValueAll(); it; ++it) differing += *it != hull->tree().getValue(it.getCoord());
+        } else {
+            hull = whole;
+        }
+        if (!device) continue;
+        start = Clock::now();
+        device->upload(masks_of(0, n));
+        device->distance(d);
+        device->carve(inputs, c, progress);
+        device->wait();
+        if (n > 4) steps["device: all masks up, fields, carved anew"].push_back(ms_since(start));
+        start = Clock::now();
+        one->upload(masks_of(n - 1, n));
+        one->distance(d);
+        one->wait();
+        device->carve(inputs, c, progress);
+        device->wait();
+        if (n > 4) steps["device: new mask up, its field, carved anew from fields that are there"].push_back(ms_since(start));
+        const openvdb::FloatGrid::Ptr home = device->hull();
+        for (auto it = whole->cbeginValueAll(); it; ++it) differing += *it != home->tree().getValue(it.getCoord());
+    }
+    std::printf("%zu views one after another at %d, medians (largest):\n", all.size(), resolution);
+    for (auto& [name, ms] : steps) {
+        std::sort(ms.begin(), ms.end());
+        std::printf("  %-72s %8.2f (%.2f) ms\n", name.c_str(), ms[ms.size() / 2], ms.back());
+    }
+    std::printf("  voxels that differ: %zu\n", differing);
 }
 
 double median_of(std::vector<double> v) {
@@ -190,6 +271,10 @@ int run(const std::vector<std::string>& words) {
     progress.on_note = [](const std::string& note) { std::cerr << note << "\n"; };
     const std::string what = words.empty() ? "" : words[0];
     BenchOptions o;
+    if (what == "add" && words.size() == 3) {  // here too, where there is no device
+        bench_add(test::read_packed_scene(words[1]), std::stoi(words[2]), progress);
+        return 0;
+    }
     o.backend = choose_backend(Backend::Cuda, 0);
     o.cpu = false;
     if (what == "paper" && words.size() == 2) {
@@ -253,7 +338,7 @@ int run(const std::vector<std::string>& words) {
         o.dense = false;
         std::cout << bench_table(run_bench(o, progress));
     } else {
-        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | filter FOLDER GRID | ceilings | once GRID\n";
+        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | filter FOLDER GRID | render FOLDER GRID | add FOLDER N | ceilings | once GRID\n";
         return 2;
     }
     return 0;

@@ -289,13 +289,13 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     o.last_stage = last;
     CLI::App* app = program.add_subcommand(name, what);
     app->fallthrough();
-    app->add_option("scene", o.views.scene, "folder with images/ (or photos directly in it), masks/ and a camera file; or a film (.mp4, .mov, …)")->required();
+    app->add_option("scene", o.views.scene, live ? "folder that photographs arrive in (images/, or directly), with a camera file of all views to come, and masks/ where masks are files" : "folder with images/ (or photos directly in it), masks/ and a camera file; or a film (.mp4, .mov, …)")->required();
     app->add_option("-o,--output", o.output, "folder for the result")->required();
 
     add_scene_options(*app, o.views, o.mask);
     if (last != LastStage::Mask && last != LastStage::Align) app->add_flag("--repair-masks", o.mask.repair, "mend masks that contradict all others, by the other views and the photograph")->group("Masks");
-    app->add_option("--video-frames", o.video.frames, "frames to take of a film, evenly in motion, the sharpest near each place")->capture_default_str()->check(CLI::Range(4, 10000))->group("Scene");
-    app->add_option("--video-range", raw->video_range, "FROM,TO: seconds of the film that are looked at (default: all)")->group("Scene");
+    if (!live) app->add_option("--video-frames", o.video.frames, "frames to take of a film, evenly in motion, the sharpest near each place")->capture_default_str()->check(CLI::Range(4, 10000))->group("Scene");
+    if (!live) app->add_option("--video-range", raw->video_range, "FROM,TO: seconds of the film that are looked at (default: all)")->group("Scene");
     if (last != LastStage::Mask) add_alignment(*app, *raw);
     app->footer(example);
     if (last == LastStage::Align) o.align_again = true;
@@ -321,7 +321,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option_function<std::string>("--memory-limit", [raw](const std::string& text) { raw->options.memory_limit = bytes_of("--memory-limit", text); },
                                               "resident memory that may be used, like 8G or 500M (default: nine tenths of the machine's)");
         if (!live) app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
-        if (!live) app->add_option("--add", o.views.added, "SCENE2: its views are taken too, of the same world; where OUT holds a result already, its bounds and voxels are kept and its hull is extended. The scene itself: photographs that came into it")->check(CLI::ExistingDirectory)->group("Scene");
+        if (!live) app->add_option("--add", o.views.added, "SCENE2: its views are taken too, of the same world; where OUT holds a result already, its bounds and voxels are kept and its hull is extended. The scene itself: photographs that came into it")->group("Scene");
     }
     if (live) add_watch_options(*app, raw->watch);
     if (last == LastStage::Export) {

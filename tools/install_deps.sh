@@ -13,7 +13,7 @@ dev=no
 if [ "${1:-}" = "--dev" ]; then
   dev=yes
   command -v npm >/dev/null || packages+=(nodejs npm)
-  packages+=(clang-format-14 clang-tidy-14 libopenvdb-tools python3-openvdb python3-numpy python3-open3d blender f3d xvfb hyperfine)
+  packages+=(clang-format-14 clang-tidy-14 libopenvdb-tools python3-openvdb python3-numpy python3-open3d blender chromium f3d xvfb hyperfine)
 elif [ $# -gt 0 ]; then
   echo "usage: tools/install_deps.sh [--dev]" >&2
   exit 2

@@ -176,8 +176,13 @@ int run_program(const std::vector<std::string>& words) {
                                        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
                                        cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
                                        cli::add_again(program, "smooth", "smooth or decimate a result's mesh anew: OUT and options of reconstruct", "--smooth 10 --faces 50000")};
-    if (words.size() == 2 && words[0] == "--write-pages") {
-        cli::write_pages(program, words[1]);
+    if (words.size() == 2 && words[0] == "--write-pages") {  // for the build
+        try {
+            cli::write_pages(program, words[1]);
+        } catch (const Error& e) {
+            spdlog::error("{}", e.what());
+            return static_cast<int>(e.code());
+        }
         return 0;
     }
     try {

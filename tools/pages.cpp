@@ -2,6 +2,7 @@
 // What --help says, as Markdown and as man pages: written from the options themselves, so that they cannot disagree.
 #include <algorithm>
 #include <cctype>
+#include <cstdio>
 #include <fstream>
 #include <sstream>
 
@@ -78,12 +79,25 @@ class Man : public Page {
     static std::string roff(const std::string& text) {
         std::string out;
         bool starts = true;
-        for (const char c : text) {
+        for (size_t i = 0; i < text.size(); ++i) {
+            const char c = text[i];
+            const auto byte = static_cast<unsigned char>(c);
             if (starts && (c == '.' || c == '\'')) out += "\\&";
-            if (c == '\\') out += "\\e";
-            else if (c == '-') out += "\\-";
-            else out += c;
             starts = c == '\n';
+            if (byte >= 0xc0) {  // the first of a character's bytes in UTF-8
+                const size_t more = byte >= 0xf0 ? 3 : byte >= 0xe0 ? 2 : 1;
+                unsigned code = byte & (0x3fU >> more);
+                for (size_t k = 0; k < more && i + 1 < text.size(); ++k) code = code << 6 | (static_cast<unsigned char>(text[++i]) & 0x3fU);
+                char name[16];
+                std::snprintf(name, sizeof name, "\\[u%04X]", code);
+                out += name;
+            } else if (c == '\\') {
+                out += "\\e";
+            } else if (c == '-') {
+                out += "\\-";
+            } else {
+                out += c;
+            }
         }
         return out;
     }

@@ -57,14 +57,14 @@ def shot(html, name, width, height):
 
 text = page.read_text()
 assert "model-viewer" in text, "built without the viewer"
-bare = re.sub(r' poster="[^"]*"', "", text)
+bare = re.sub(r' poster="data:[^"]*"', "", text)
 assert bare != text
 for name, width, height in (("wide", 1200, 1000), ("narrow", 400, 900)):
     # The viewer alone, on a plain page: all that is seen is drawn by it.
     views = []
     for turn in ("0deg 75deg auto", "90deg 75deg auto"):
-        viewer = re.search(r"<model-viewer.*?</model-viewer>", bare, re.S).group(0).replace("<model-viewer", f'<model-viewer camera-orbit="{turn}"')
-        head = bare[:bare.index("<body>")]
+        viewer = re.search(r"<model-viewer camera-controls.*?</model-viewer>", bare, re.S).group(0).replace("<model-viewer", f'<model-viewer camera-orbit="{turn}"')
+        head = bare[:bare.index("</head><body>")] + "</head>"
         alone = folder / f"{name}_model.html"
         alone.write_text(f'{head}<body style="background:#fff">{viewer}</body></html>')
         views.append(shot(alone, f"{name}_model_{len(views)}", width, height))

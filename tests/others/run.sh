@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Other people's readers open what the program writes: run.sh PROGRAM SOURCE TOOL, TOOL one of gltf_validator, blender, colmap, open3d, python_openvdb, vdb_print. Exit code 77 where the tool is not there.
+# Other people's readers open what the program writes: run.sh PROGRAM SOURCE TOOL, TOOL one of gltf_validator, blender, chromium, colmap, open3d, python_openvdb, vdb_print. Exit code 77 where the tool is not there.
 set -euo pipefail
 program=$1 source=$2 tool=$3
 here=$source/tests/others
@@ -8,6 +8,9 @@ python=/usr/bin/python3
 case $tool in
   gltf_validator) { command -v node && test -d "$source/build/node/node_modules/gltf-validator"; } >/dev/null || skip 'node with gltf-validator' ;;
   blender) command -v blender >/dev/null || skip Blender ;;
+  chromium)
+    command -v chromium >/dev/null || skip Chromium
+    test -d "$source/build/node/node_modules/@google/model-viewer" || skip 'model-viewer, from npm' ;;
   colmap) command -v colmap >/dev/null || skip COLMAP ;;
   open3d) "$python" -c 'import open3d' 2>/dev/null || skip 'Open3D for Python' ;;
   python_openvdb) "$python" -c 'import pyopenvdb' 2>/dev/null || skip 'OpenVDB for Python' ;;
@@ -26,6 +29,9 @@ case $tool in
   blender)
     "$program" --quiet reconstruct scene -o preset --resolution 56 --mesh-formats ply,obj,glb,stl --units mm --up y --dcc blender --vdb-half
     blender -b --factory-startup --python-exit-code 3 --python "$here/blender_check.py" -- out ply.json preset | grep -v '^Blender\|^$' ;;
+  chromium)
+    "$program" --quiet report out  # written anew, as somebody does who has no reconstruct at hand
+    "$python" "$here/report_page.py" chromium out/report.html . ;;
   colmap)  # reads the model, and writes it as binary, which we read again
     "$program" --quiet export out --undistort -o set
     colmap model_analyzer --path set/sparse/0 2>&1 | tee said
