@@ -14,7 +14,7 @@ namespace vdbcarve {
 namespace fs = std::filesystem;
 
 namespace {
-constexpr const char* kPart = ".part";  ///< before the process's number
+constexpr const char* kPart = ".vdbcarve.part";  ///< before the process's number
 }
 
 AtomicFile::AtomicFile(fs::path file) : file_(std::move(file)) {
@@ -57,6 +57,13 @@ void remove_left_overs(const fs::path& folder) {
         if (maker != getpid() && kill(maker, 0) != 0 && errno == ESRCH) old.push_back(entry.path());
     }
     for (const fs::path& file : old) fs::remove(file, ignored);
+}
+
+std::string read_file(const fs::path& file) {
+    std::ifstream in(file, std::ios::binary);
+    std::string out((std::istreambuf_iterator<char>(in)), {});
+    if (!in.is_open() || in.bad()) throw InputError(file.string() + ": cannot be read");
+    return out;
 }
 
 void write_file(const fs::path& file, const void* data, size_t bytes) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files that appear whole or not at all. Private.
+// Files that appear whole or not at all, and reading them whole. Private.
 #pragma once
 
 #include <filesystem>
@@ -30,8 +30,11 @@ class AtomicFile {
     bool done_ = false;
 };
 
-/// Removes from a folder (not from those in it) the temporary files of processes that are no more.
+/// Removes from a folder (not from those in it) the temporary files of AtomicFile's whose processes are no more on this machine.
 void remove_left_overs(const std::filesystem::path& folder);
+
+/// All of a file. Throws InputError where it cannot be read.
+std::string read_file(const std::filesystem::path& file);
 
 void write_file(const std::filesystem::path& file, const std::string& content);
 void write_file(const std::filesystem::path& file, const void* data, size_t bytes);

@@ -5,12 +5,14 @@
 #include <sys/utsname.h>
 
 #include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <opencv2/core/version.hpp>
 #include <sstream>
 #include <thread>
 
+#include "atomic_file.h"
 #include "io_image.h"
 #include "memory.h"
 #include "tar_gz.h"
@@ -28,11 +30,6 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 
 namespace {
-
-std::string text_of_file(const fs::path& file) {
-    std::ifstream in(file, std::ios::binary);
-    return {std::istreambuf_iterator<char>(in), {}};
-}
 
 std::string versions() {
     json out{{"vdbcarve", kVersion}, {"openvdb", OPENVDB_LIBRARY_VERSION_STRING}, {"opencv", CV_VERSION}, {"compiler", __VERSION__}, {"threads", std::thread::hardware_concurrency()}, {"memory_bytes", machine_memory_bytes()}};
@@ -71,10 +68,10 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     archive.add("README.txt", kReadMe);
     archive.add("versions.json", versions());
     for (const char* name : {"report.json", "config.toml"})
-        if (fs::exists(result / name)) archive.add(name, text_of_file(result / name));
+        if (fs::exists(result / name)) archive.add(name, read_file(result / name));
     if (fs::exists(result / "stages" / "failure.json"))
         for (const char* name : {"failure.json", "failure.toml", "cameras.json"})
-            if (fs::exists(result / "stages" / name)) archive.add(std::string("failure/") + name, text_of_file(result / "stages" / name));
+            if (fs::exists(result / "stages" / name)) archive.add(std::string("failure/") + name, read_file(result / "stages" / name));
 
     std::vector<fs::path> masks;
     if (fs::is_directory(result / "masks"))
@@ -85,7 +82,9 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     Views views;
     std::vector<std::string> names;
     try {
-        views = result_views(result, options.images, progress);
+        // Masks are the last run's; so are its cameras, where it failed and had got as far as that.
+        const bool failed = fs::exists(result / "stages" / "failure.json") && fs::exists(result / "stages" / "cameras.json");
+        views = failed ? failed_views(result, options.images, progress) : result_views(result, options.images, progress);
         names = mask_names(views);
     } catch (const InputError& e) {
         progress.note(std::string("without cameras: ") + e.what());  // masks alone are a scene, too
@@ -99,6 +98,7 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
         const auto found = std::find(names.begin(), names.end(), name);
         View* view = found == names.end() ? nullptr : &views.views[static_cast<size_t>(found - names.begin())];
         int width = static_cast<int>(std::lround(factor * mask.width)), height = static_cast<int>(std::lround(factor * mask.height));
+        const Camera as_it_is = view ? view->camera : Camera();
         if (view) {
             view->camera = scaled(view->camera, factor);
             width = view->camera.intrinsics.width_px;
@@ -106,19 +106,18 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
         }
         const auto smaller = [&](Image8 image) { return image.width == width && image.height == height ? image : io::downscale(image.view(), width, height); };
         if (view && options.photos && !view->image_path.empty()) {
-            const auto jpeg = io::encode_jpeg(smaller(load_photo8([&] {
-                                                  View whole = *view;
-                                                  whole.camera = scaled(view->camera, 1 / factor);
-                                                  whole.camera.intrinsics.width_px = mask.width;
-                                                  whole.camera.intrinsics.height_px = mask.height;
-                                                  return whole;
-                                              }())).view(), 88, 0);
-            const std::string photo = "images/" + mask_file.stem().string() + ".jpg";
-            archive.add("scene/" + photo, {reinterpret_cast<const char*>(jpeg.data()), jpeg.size()});
-            view->image_path = photo;
-        } else if (view) {
-            view->image_path = "masks/" + name;
+            View whole = *view;
+            whole.camera = as_it_is;
+            view->image_path.clear();
+            try {
+                const auto jpeg = io::encode_jpeg(smaller(load_photo8(whole)).view(), 88, 0);
+                view->image_path = "images/" + mask_file.stem().string() + ".jpg";
+                archive.add("scene/" + view->image_path.string(), {reinterpret_cast<const char*>(jpeg.data()), jpeg.size()});
+            } catch (const InputError& e) {
+                progress.note(std::string("without a photograph: ") + e.what());
+            }
         }
+        if (view && (!options.photos || view->image_path.empty())) view->image_path = "masks/" + name;
         const auto png = io::encode_png(smaller(std::move(mask)));
         archive.add("scene/masks/" + name, {reinterpret_cast<const char*>(png.data()), png.size()});
         if (view) {

@@ -111,7 +111,7 @@ Mesh clustered(const Mesh& mesh, const std::array<float, 3>& low, float cell) {
 }  // namespace
 
 Mesh simplified_for_display(const Mesh& mesh, size_t most_faces) {
-    if (mesh.triangles.size() <= most_faces || mesh.vertices.empty()) return mesh;
+    if (mesh.triangles.size() <= most_faces || mesh.vertices.empty()) return {mesh.vertices, mesh.triangles, {}, mesh.colors, {}, {}, 0};
     std::array<float, 3> low = mesh.vertices.front(), high = low;
     for (const auto& v : mesh.vertices)
         for (size_t a = 0; a < 3; ++a) {

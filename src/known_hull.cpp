@@ -43,7 +43,7 @@ std::optional<KnownHull> find_known_hull(const fs::path& stages, const std::stri
             const json note = json::parse(in);
             if (note.at("base") != base) continue;
             KnownHull hull{fs::path(file).replace_extension(".vdb"), places_of(note.at("views").get<std::vector<std::string>>(), views)};
-            if (!hull.views.empty() && hull.views.size() < views.size() && (!best || hull.views.size() > best->views.size()) && fs::exists(hull.file)) best = std::move(hull);
+            if (!hull.views.empty() && (!best || hull.views.size() > best->views.size()) && fs::exists(hull.file)) best = std::move(hull);
         } catch (const json::exception&) {
             continue;  // of an older version, or damaged
         }

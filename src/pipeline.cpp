@@ -299,13 +299,34 @@ class Job {
         if (fs::is_directory(o_.output) && !fs::is_empty(o_.output) && !made_by_us(o_.output) && !o_.force)
             throw OutputError(o_.output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
         make_folder(o_.output / "stages");
-        for (const char* folder : {"", "stages", "masks", "overlays", kUnverified}) remove_left_overs(o_.output / folder);  // of runs that were killed
+        // Of runs that were killed.
+        for (const char* folder : {"", "stages", "masks", "overlays", kUnverified}) remove_left_overs(o_.output / folder);
+        for (const char* part : {".frames.part", ".masks.part", ".repaired.part"}) fs::remove_all(store_.folder() / part);
+        fs::remove(store_.folder() / "cameras.json");
         write_file(o_.output / kMarker, json{{"made_by", "vdbcarve"}}.dump() + "\n");
         // A finished result keeps its configuration until the new one is finished too.
         if (!fs::exists(o_.output / "report.json")) write_config();
     }
     void write_config() {
-        if (!o_.config_text.empty()) write_file(place_ / "config.toml", o_.config_text);
+        if (!o_.config_text.empty()) write_file(place_ / "config.toml", config());
+    }
+    /// As given; where a grid was kept, with that instead of what led to it.
+    std::string config() const {
+        if (!kept_) return o_.config_text;
+        std::istringstream lines(o_.config_text);
+        std::string out, command;
+        for (std::string line; std::getline(lines, line);) {
+            const size_t dot = line.find('.'), equals = line.find('=');
+            const std::string option = dot < equals ? line.substr(dot + 1, equals - dot - 1) : "";
+            if (dot < equals) command = line.substr(0, dot);
+            if (option != "resolution" && option != "grid" && option != "bounds" && option != "voxel-size" && option != "origin") out += line + "\n";
+        }
+        const auto number = [](double x) { return text_of("%.17g", x); };
+        std::string bounds, origin;
+        for (const Vec3d& corner : {kept_->bounds.min(), kept_->bounds.max()})
+            for (int a = 0; a < 3; ++a) bounds += (bounds.empty() ? "" : ",") + number(corner[a]);
+        for (int a = 0; a < 3; ++a) origin += (a ? "," : "") + number(kept_->origin[a]);
+        return out + command + ".bounds=\"" + bounds + "\"\n" + command + ".voxel-size=" + number(kept_->voxel_size) + "\n" + command + ".origin=\"" + origin + "\"\n";
     }
 
     /// The scene is a film: its frames, in stages/, are the scene from here on.
@@ -461,7 +482,8 @@ class Job {
             const View& v = views_.views[i];
             Sha256 key;
             add_mask_options(key, settled);
-            key.add(file_hashes[i]).add_value(v.orientation).add_value(v.lens.model).add_value(!edited[i].empty());
+            for (const auto& [path, hash] : per_file[i].items()) key.add(path);  // two photographs may be alike; their masks' origins are not
+            key.add(v.name).add(file_hashes[i]).add_value(v.orientation).add_value(v.lens.model).add_value(!edited[i].empty());
             for (double c : v.lens.coefficients) key.add_value(c);
             if (v.lens.distorts()) add_camera(key, v.camera);
             key.add_value(v.camera.intrinsics.width_px).add_value(v.camera.intrinsics.height_px);
@@ -546,8 +568,12 @@ class Job {
             if (entry.path().filename().string().rfind("masks-", 0) != 0) continue;
             const auto note = stage_note(entry.path() / "masks.json", {"origins", "keys"});
             if (!note) continue;
-            const auto theirs = (*note)["keys"].get<std::vector<std::string>>();
-            for (size_t i = 0; i < theirs.size(); ++i) places[theirs[i]] = {entry.path(), i, (*note)["origins"][i].get<std::string>()};
+            try {
+                const auto theirs = (*note)["keys"].get<std::vector<std::string>>(), origins = (*note)["origins"].get<std::vector<std::string>>();
+                for (size_t i = 0; i < std::min(theirs.size(), origins.size()); ++i) places[theirs[i]] = {entry.path(), i, origins[i]};
+            } catch (const json::exception&) {
+                continue;  // damaged
+            }
         }
         std::vector<std::optional<KnownMask>> out(keys.size());
         tbb::parallel_for(size_t{0}, keys.size(), [&](size_t i) {
@@ -555,7 +581,11 @@ class Job {
             if (found == places.end()) return;
             const fs::path stem = found->second.folder / std::to_string(found->second.number), coverage = fs::path(stem) += ".png", ignore = fs::path(stem) += "_ignore.png";
             if (!fs::exists(coverage)) return;  // one that was left out is made, and left out, again
-            out[i] = KnownMask{{io::read_image8(coverage), fs::exists(ignore) ? io::read_image8(ignore) : Image8()}, found->second.origin};
+            try {
+                out[i] = KnownMask{{io::read_image8(coverage), fs::exists(ignore) ? io::read_image8(ignore) : Image8()}, found->second.origin};
+            } catch (const InputError&) {
+                // Damaged: it is made again.
+            }
         });
         return out;
     }
@@ -899,11 +929,15 @@ class Job {
         Box3d bounds;
         double voxel_size;
         Vec3d origin;
+        bool automatic, floor_clips;
     };
+
+    static std::string box_text(const Box3d& b) { return text_of("%.9g,%.9g,%.9g,%.9g,%.9g,%.9g", b.min().x(), b.min().y(), b.min().z(), b.max().x(), b.max().y(), b.max().z()); }
 
     /// Nothing where nothing is added, where there is no result, and where its cameras were others: then its bounds mean nothing here.
     std::optional<KeptGrid> grid_to_keep() {
         if (o_.views.added.empty() || finds_cameras()) return std::nullopt;
+        if (!fs::exists(o_.output / "report.json")) return std::nullopt;  // nothing is there yet
         const json report = parse_or_empty(o_.output / "report.json");
         std::map<std::string, Camera> before;
         KeptGrid kept{};
@@ -914,24 +948,35 @@ class Job {
             kept.voxel_size = g.at("voxel_size").get<double>();
             const auto o = g.at("origin").get<std::array<double, 3>>();
             kept.origin = Vec3d(o[0], o[1], o[2]);
+            kept.automatic = g.value("bounds_automatic", true);
+            kept.floor_clips = g.value("floor_clips", false);
             for (const io::ImportedView& v : io::read_transforms(o_.output / "cameras.json").views) before.emplace(v.view.name, v.view.camera);
-        } catch (const json::exception&) {
-            return std::nullopt;  // nothing is there yet
-        } catch (const InputError&) {
+        } catch (const std::exception& e) {  // of nlohmann::json or an InputError
+            progress_.warn("the bounds are found anew: " + (o_.output / "report.json").string() + " does not say which they were (" + e.what() + "). It is of mask, align, or an older vdbcarve");
             return std::nullopt;
         }
-        std::vector<std::string> moved;
-        size_t same = 0;
+        std::vector<std::string> moved, gone;
+        std::set<std::string> same;
         for (const View& v : views_.views) {
             auto found = before.find(v.name);
             if (found == before.end()) found = before.find(fs::path(v.name).filename().string());
             if (found == before.end()) continue;
-            const Rigid3 &a = v.camera.camera_from_world, &b = found->second.camera_from_world;
-            const bool near = (a.rotation - b.rotation).norm() < 1e-9 && (a.translation - b.translation).norm() <= 1e-9 * (1 + a.translation.norm());
-            if (near) ++same;
+            const Camera &a = v.camera, &b = found->second;
+            const auto numbers = [](const Camera& c) {
+                const Intrinsics& k = c.intrinsics;
+                return Eigen::Matrix<double, 7, 1>{k.fx, k.fy, k.skew, k.cx, k.cy, static_cast<double>(k.width_px), static_cast<double>(k.height_px)};
+            };
+            const Vec3d &ta = a.camera_from_world.translation, &tb = b.camera_from_world.translation;
+            const bool near = (a.camera_from_world.rotation - b.camera_from_world.rotation).norm() < 1e-9 && (ta - tb).norm() <= 1e-9 * (1 + ta.norm()) && (numbers(a) - numbers(b)).norm() <= 1e-9 * numbers(a).norm();
+            if (near) same.insert(found->first);
             else moved.push_back(v.name);
         }
-        if (same > 0 && moved.empty()) return kept;
+        for (const auto& [name, camera] : before)
+            if (!same.count(name)) gone.push_back(name);
+        if (moved.empty() && !same.empty()) {
+            if (!gone.empty()) progress_.warn("the result in " + o_.output.string() + " was made of " + counted(gone.size(), "view") + " more, which " + (gone.size() == 1 ? "is" : "are") + " not here: " + some_of(gone) + ". Remedy: --add the scene that they are from, too");
+            return kept;
+        }
         progress_.note("the bounds are found anew: the cameras of " + o_.output.string() + " are others" + (moved.empty() ? "" : " (" + some_of(moved) + ")"));
         return std::nullopt;
     }
@@ -958,7 +1003,7 @@ class Job {
     fs::path hull_file() const { return store_.path("hull", hull_key_, ".vdb"); }
     /// The hull, whole or in bricks, of an earlier run. Stages after it want it whole.
     bool hull_is_there() const {
-        const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"});
+        const auto note = stage_note(hull_json(), {"grid", "warnings", "backend", "id"});
         if (!note) return false;
         if (fs::exists(hull_file())) return true;
         if (o_.last_stage != LastStage::Carve || !(*note)["grid"].contains("bricks")) return false;
@@ -980,6 +1025,7 @@ class Job {
         plan_grid();
         if (o_.dry_run) return;
         find_known();
+        if (known_ && known_->views.size() == inputs_.size()) return;
         if (backend_ == Backend::Cuda && on_device("distance", [&] {
                 device_->upload(used_masks_);
                 device_->distance(field_options_);
@@ -1019,9 +1065,17 @@ class Job {
             view.add(m.coverage.data, m.coverage.pixels()).add(m.ignore.data, m.ignore.pixels());
             view_keys_[u] = view.hex();
         });
-        if (backend_ == Backend::Cuda || carve_.occupancy || bricks_ > 1) return;  // a device carves anew sooner than it is told of a hull
+        std::vector<std::string> sorted = view_keys_;
+        std::sort(sorted.begin(), sorted.end());
+        Sha256 id;
+        id.add(base_key_);
+        for (const std::string& key : sorted) id.add(key);
+        hull_id_ = id.hex();
+        if (carve_.occupancy || bricks_ > 1) return;
         known_ = find_known_hull(store_.folder(), base_key_, view_keys_);
-        if (!known_ || 2 * known_->views.size() < inputs_.size()) {
+        if (!known_ || known_->views.size() == inputs_.size()) return;  // of all of them: taken as it is
+        // A device carves anew sooner than it is told of a hull; many new views, or fields that do not fit into memory together, are for a carve, too.
+        if (backend_ == Backend::Cuda || 2 * known_->views.size() < inputs_.size() || batch_ < inputs_.size()) {
             known_.reset();
             return;
         }
@@ -1312,9 +1366,9 @@ class Job {
         carve_.half_width_vox = o_.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
         Box3d box = kept_ ? kept_->bounds : o_.bounds ? *o_.bounds : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
-        floor_clips_ = views_.floor && !o_.bounds && (kept_ || clip_at_floor(box));
+        floor_clips_ = kept_ ? kept_->floor_clips : views_.floor && !o_.bounds && clip_at_floor(box);
         if (kept_ && o_.bounds && !(kept_->bounds.min().isApprox(o_.bounds->min(), 1e-9) && kept_->bounds.max().isApprox(o_.bounds->max(), 1e-9)))
-            throw UsageError("--bounds: views are added to " + o_.output.string() + ", which has others. Remedy: without --bounds, or another -o");
+            throw UsageError("--bounds " + box_text(*o_.bounds) + ": views are added to " + o_.output.string() + ", whose bounds are " + box_text(kept_->bounds) + ". Remedy: without --bounds, or another -o");
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
@@ -1350,7 +1404,8 @@ class Job {
         if (kept_) {
             const bool given = o_.resolution > 0 || o_.voxel_size > 0 || o_.grid;
             if ((given && std::fabs(voxel / kept_->voxel_size - 1) > 1e-9) || (o_.origin && !o_.origin->isApprox(kept_->origin, 1e-9)))
-                throw UsageError(text_of("--resolution, --voxel-size, --grid or --origin: views are added to %s, whose voxels of %.9g lie otherwise. Remedy: as it was made, or another -o", o_.output.c_str(), kept_->voxel_size));
+                throw UsageError(text_of("%s: gives voxels of %.9g, and views are added to %s, whose voxels of %.9g lie otherwise. Remedy: without it, or another -o", o_.resolution > 0 ? "--resolution" : o_.voxel_size > 0 ? "--voxel-size" : o_.grid ? "--grid" : "--origin", voxel, o_.output.c_str(), kept_->voxel_size));
+            box = kept_->bounds;
             voxel = kept_->voxel_size;
             origin = kept_->origin;
         }
@@ -1366,7 +1421,8 @@ class Job {
         g["voxel_size"] = voxel;
         g["origin"] = {origin.x(), origin.y(), origin.z()};
         g["bounds"] = {box.min()[0], box.min()[1], box.min()[2], box.max()[0], box.max()[1], box.max()[2]};
-        g["bounds_automatic"] = !o_.bounds;
+        g["bounds_automatic"] = kept_ ? kept_->automatic : !o_.bounds;
+        if (floor_clips_) g["floor_clips"] = true;
         g["bounds_seconds"] = bounds_seconds;
         g["pixel_footprint"] = footprint;
         plan_distance();
@@ -1407,11 +1463,25 @@ class Job {
 
     bool carve_hull() {
         if (hull_is_there()) {
-            const auto note = stage_note(hull_json(), {"grid", "warnings", "backend"});
+            const auto note = stage_note(hull_json(), {"grid", "warnings", "backend", "id"});
             report_["grid"] = (*note)["grid"];
             backend_used_ = (*note)["backend"];
+            hull_id_ = (*note)["id"];
             warn_again(*note);
             return true;
+        }
+        if (known_ && known_->views.size() == inputs_.size()) {  // under another name: the same voxels were asked for in other words
+            const fs::path note_file = fs::path(known_->file).replace_extension(".json");
+            if (const auto note = stage_note(note_file, {"grid", "warnings", "backend", "id"})) {
+                place_copy(known_->file, hull_file());
+                place_copy(note_file, hull_json());
+                report_["grid"] = (*note)["grid"];
+                backend_used_ = (*note)["backend"];
+                fields_.clear();
+                inputs_.clear();
+                return true;
+            }
+            known_.reset();
         }
         CarveResult result;
         if (bricks_ > 1) result.statistics = carve_bricks();
@@ -1432,7 +1502,7 @@ class Job {
         fields_.clear();
         inputs_.clear();
         if (bricks_ == 1) write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
-        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)}, {"base", base_key_}, {"views", view_keys_}};
+        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)}, {"base", base_key_}, {"views", view_keys_}, {"id", hull_id_}};
         write_file(hull_json(), note.dump(1) + "\n");
         return false;
     }
@@ -1459,7 +1529,7 @@ class Job {
 
     bool make_surface() {
         Sha256 h;
-        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_key_).add_value(o_.flat_base).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.floor_clear).add_value(o_.floor_from != FloorFrom::File).add(o_.flat_base || views_.floor ? up() : "").hex();
+        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_id_).add_value(o_.flat_base).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.floor_clear).add_value(o_.floor_from != FloorFrom::File).add(o_.flat_base || views_.floor ? up() : "").hex();
         const fs::path file = store_.path("surface", surface_key_, ".vdb"), note_file = store_.path("surface", surface_key_, ".json");
         if (const auto note = stage_note(note_file, {"warnings"}); note && fs::exists(file)) {
             surface_ = read_float_grid(file, "surface");
@@ -2045,8 +2115,8 @@ class Job {
     }
 
     /// What was asked for takes parts of the hull away, which silhouettes show: no contradiction of theirs.
-    bool shape_was_changed() const {
-        if (o_.bounds || report_.contains("floor")) return true;
+    bool shape_was_changed() {
+        if (!report_["grid"].value("bounds_automatic", true) || report_.contains("floor")) return true;
         const auto lost = [](const json& from, const char* before, double after) { return from.contains(before) && std::fabs(after / from[before].get<double>() - 1) > 0.02; };
         const json filter = report_.value("filter", json::object());
         return lost(filter, "volume_before", filter.value("volume_filtered", 0.0)) || lost(report_.value("smooth", json::object()), "volume_before", measures_.volume);
@@ -2159,7 +2229,7 @@ class Job {
             write_report(o_.output, file, {}, progress_, &mesh_);
         } catch (const Interrupted&) {
             throw;
-        } catch (const Error& e) {
+        } catch (const std::exception& e) {
             progress_.note(std::string("no report.html: ") + e.what());
         }
     }
@@ -2185,7 +2255,7 @@ class Job {
     std::vector<DistanceField> fields_;
     std::vector<MaskView> used_masks_;  ///< of inputs_
     std::optional<KeptGrid> kept_;
-    std::string base_key_;
+    std::string base_key_, hull_id_;      ///< what a hull depends on but for its views, and with them
     std::vector<std::string> view_keys_;  ///< of inputs_, by camera and mask
     std::optional<KnownHull> known_;      ///< made of the first inputs_, to be extended by the others
     size_t added_views_ = 0;
@@ -2240,31 +2310,46 @@ Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress
     return Job(options, progress).run();
 }
 
-Views result_views(const fs::path& output, const fs::path& images, Progress& progress) {
+namespace {
+
+/// The cameras of a file with their photographs, from where `said` (a report, or what a run failed with) has them, or from the folder `images`.
+Views views_of(const fs::path& output, const json& said, const fs::path& camera_file, const fs::path& images, Progress& progress) {
     ViewsOptions options;
-    // Of a run that never came to an end, what it failed with.
-    const bool failed = !fs::exists(output / "cameras.json");
-    const json report = parse_or_empty(failed ? output / "stages" / "failure.json" : output / "report.json");
+    std::vector<std::string> added;
     try {
-        options.scene = report.at("scene").at("folder").get<std::string>();
-        options.images = report.at("scene").at("images").get<std::string>();
+        options.scene = said.at("scene").at("folder").get<std::string>();
+        options.images = said.at("scene").at("images").get<std::string>();
+        added = said.at("scene").value("added", added);
     } catch (const json::exception&) {
         // A report of before says nothing; --images may.
     }
     if (!images.empty()) options.images = images;
     if (!fs::is_directory(options.scene)) options.scene = output;
-    options.cameras = fs::absolute(output / (failed ? "stages/cameras.json" : "cameras.json"));
+    options.cameras = fs::absolute(camera_file);
     options.cameras_only = true;
     Views views = load_views(options, progress);
-    if (images.empty() && report.contains("scene"))
-        for (const json& added : report["scene"].value("added", json::array())) {
-            options.scene = added.get<std::string>();
-            if (!fs::is_directory(options.scene)) continue;
-            const Views other = load_views(options, progress);
-            for (size_t i = 0; i < views.views.size(); ++i)
-                if (views.views[i].image_path.empty()) views.views[i].image_path = other.views[i].image_path;
-        }
+    if (!images.empty()) return views;
+    const fs::path first = options.scene;
+    for (const std::string& folder : added) {
+        std::error_code error;
+        if (!fs::is_directory(folder) || fs::equivalent(folder, first, error)) continue;
+        options.scene = folder;
+        options.images.clear();  // those of the first
+        const Views other = load_views(options, progress);
+        for (size_t i = 0; i < views.views.size(); ++i)
+            if (views.views[i].image_path.empty()) views.views[i].image_path = other.views[i].image_path;
+    }
     return views;
+}
+
+}  // namespace
+
+Views result_views(const fs::path& output, const fs::path& images, Progress& progress) {
+    return views_of(output, parse_or_empty(output / "report.json"), output / "cameras.json", images, progress);
+}
+
+Views failed_views(const fs::path& output, const fs::path& images, Progress& progress) {
+    return views_of(output, parse_or_empty(output / "stages" / "failure.json"), output / "stages" / "cameras.json", images, progress);
 }
 
 FileFrame frame_from_scene(const fs::path& output, const std::string& file) {

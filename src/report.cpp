@@ -234,6 +234,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         for (const auto& v : mesh().vertices) box.extend(Vec3d(v[0], v[1], v[2]));
         RenderOptions o;
         o.background.reset();
+        o.color = options_.photos;
         o.up = up_direction(views_.up, cameras_);
         OrbitView from;
         from.width_px = 960;
@@ -256,6 +257,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
                 if (faces_ > faces) decimate(small, {faces, 0, 60}, progress_);
             }
             small.normals.clear();
+            if (!options_.photos) small.colors.clear();
             for (auto& v : small.vertices) {
                 const Vec3d p = upright * (Vec3d(v[0], v[1], v[2]) - box.center());
                 v = {static_cast<float>(p.x()), static_cast<float>(p.y()), static_cast<float>(p.z())};
@@ -390,8 +392,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
     }
 
     void settings() {
-        std::ifstream in(result_ / "config.toml");
-        const std::string text((std::istreambuf_iterator<char>(in)), {});
+        const std::string text = fs::exists(result_ / "config.toml") ? read_file(result_ / "config.toml") : "";
         if (!text.empty()) body_ << "<h2>Settings</h2>\n<details><summary>config.toml, which repeats the run</summary><pre>" << escaped(text) << "</pre></details>\n";
     }
 

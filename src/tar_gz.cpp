@@ -3,6 +3,7 @@
 
 #include <zlib.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdio>
 #include <cstring>
@@ -18,9 +19,13 @@ void TarGz::add(const std::string& name_in_root, std::string_view content) {
         char name[100], mode[8], uid[8], gid[8], size[12], mtime[12], checksum[8], type, link[100], magic[6], version[2], user[32], group[32], major[8], minor[8], prefix[155], rest[12];
     } h{};
     static_assert(sizeof h == 512);
-    if (name.size() >= sizeof h.name) throw OutputError(name + ": too long a name for an archive");
+    // A long name's folders go into a field of their own.
+    const size_t cut = name.size() <= sizeof h.name ? std::string::npos : name.rfind('/');
+    const std::string folders = cut == std::string::npos ? "" : name.substr(0, cut), last = cut == std::string::npos ? name : name.substr(cut + 1);
+    if (last.size() > sizeof h.name || folders.size() > sizeof h.prefix) throw OutputError(name + ": too long a name for an archive. Remedy: a shorter one for the photograph, also in its camera file");
     if (content.size() >= size_t{1} << 33) throw OutputError(name + ": too large for an archive");
-    std::memcpy(h.name, name.data(), name.size());
+    std::memcpy(h.name, last.data(), last.size());
+    std::memcpy(h.prefix, folders.data(), folders.size());
     std::snprintf(h.mode, sizeof h.mode, "%07o", 0644);
     std::snprintf(h.uid, sizeof h.uid, "%07o", 0);
     std::snprintf(h.gid, sizeof h.gid, "%07o", 0);

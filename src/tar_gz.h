@@ -14,7 +14,7 @@ class TarGz {
   public:
     /// All files lie in the folder `root`.
     explicit TarGz(std::string root) : root_(std::move(root)) {}
-    /// `name` with folders; at most 99 bytes with the root. Throws OutputError where it is longer.
+    /// `name` with folders; at most 100 bytes, and 155 of folders with the root. Throws OutputError where it is longer.
     void add(const std::string& name, std::string_view content);
     /// By rename. Returns the archive's bytes. Throws OutputError.
     size_t write(const std::filesystem::path& file) const;

@@ -389,10 +389,9 @@ void add_scene(Views& views, const fs::path& scene, const ViewsOptions& options,
     wanted.scene = scene;
     wanted.added.clear();
     std::error_code not_there;
-    if (!fs::equivalent(scene, options.scene, not_there)) {
-        wanted.images.clear();
-        if (wanted.cameras != "none") wanted.cameras.clear();
-    }
+    if (fs::equivalent(scene, options.scene, not_there)) return;  // its views are here, those that came lately too
+    wanted.images.clear();
+    if (wanted.cameras != "none") wanted.cameras.clear();
     Views other = load_scene(wanted, progress);
     if (views.posed != other.posed)
         throw InputError((other.posed ? options.scene : scene).string() + ": has no camera file, and " + (other.posed ? scene : options.scene).string() + " has: where its photographs were taken from in that world is not known. Remedy: cameras for all of them, or --cameras none to find them all anew");

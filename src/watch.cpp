@@ -7,6 +7,7 @@
 #include <optional>
 #include <thread>
 
+#include "io_cameras.h"
 #include "text.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/video.h"
@@ -18,59 +19,67 @@ using Clock = std::chrono::steady_clock;
 
 namespace {
 
-/// The files of a folder, and since when each has been as it is.
-class Folder {
+/// The files of some folders, and since when each has been as it is.
+class Folders {
   public:
-    Folder(fs::path root, fs::path without, double settle_s) : root_(std::move(root)), without_(fs::weakly_canonical(without)), settle_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settle_s))) {}
+    Folders(std::vector<fs::path> roots, const fs::path& without, double settle_s) : roots_(std::move(roots)), without_(fs::weakly_canonical(without)), settle_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settle_s))) {}
 
     void look() {
         const auto now = Clock::now();
         std::map<fs::path, File> seen;
-        std::error_code gone;  // files may vanish under our eyes
-        for (auto it = fs::recursive_directory_iterator(root_, fs::directory_options::follow_directory_symlink | fs::directory_options::skip_permission_denied, gone); !gone && it != fs::recursive_directory_iterator(); it.increment(gone)) {
-            std::error_code error;
-            if (it->is_directory(error)) {
-                if (fs::weakly_canonical(it->path(), error) == without_ || it.depth() > 3) it.disable_recursion_pending();
-                continue;
+        for (const fs::path& root : roots_) {
+            std::error_code gone;  // files and folders may vanish under our eyes: then the next look is taken
+            for (auto it = fs::recursive_directory_iterator(root, fs::directory_options::follow_directory_symlink | fs::directory_options::skip_permission_denied, gone); !gone && it != fs::recursive_directory_iterator(); it.increment(gone)) {
+                std::error_code error;
+                const fs::path path = fs::weakly_canonical(it->path(), error);
+                if (error) continue;
+                if (it->is_directory(error)) {
+                    if (path == without_ || it.depth() > 3) it.disable_recursion_pending();
+                    continue;
+                }
+                File file;
+                file.size = it->file_size(error);
+                if (!error) file.written = it->last_write_time(error);
+                if (error) continue;
+                const auto known = files_.find(path);
+                if (known != files_.end() && known->second.size == file.size && known->second.written == file.written) {
+                    file.since = known->second.since;
+                } else {
+                    // What was here long before is whole at first sight; a clock that is ahead says nothing.
+                    const auto age = fs::file_time_type::clock::now() - file.written;
+                    file.since = known == files_.end() && age > settle_ ? now - settle_ : now;
+                }
+                seen.emplace(path, file);
             }
-            File file;
-            file.size = it->file_size(error);
-            if (!error) file.written = it->last_write_time(error);
-            if (error) continue;
-            const auto known = files_.find(it->path());
-            const bool same = known != files_.end() && known->second.size == file.size && known->second.written == file.written;
-            if (same) {
-                file.since = known->second.since;
-            } else {
-                // What was here long before is whole at first sight; a clock that is ahead says nothing.
-                const auto age = fs::file_time_type::clock::now() - file.written;
-                file.since = known == files_.end() && age > settle_ ? now - settle_ : now;
-            }
-            seen.emplace(it->path(), file);
+            if (gone) return;
         }
         files_ = std::move(seen);
         looked_ = now;
     }
 
-    bool is_whole(const fs::path& path) const {
-        const auto found = files_.find(path);
-        return found != files_.end() && found->second.size > 0 && looked_ - found->second.since >= settle_;
-    }
-    /// The photograph, and what is called like it: its mask.
-    bool is_whole_with_mask(const fs::path& photo) const {
+    /// The photograph is whole, and so is what is called like it: its mask. One that lies elsewhere (a camera file may name it) is taken as it is.
+    bool is_whole(const fs::path& photo) const {
+        std::error_code error;
+        const auto found = files_.find(fs::weakly_canonical(photo, error));
+        if (found == files_.end()) return !error && !is_ours(fs::weakly_canonical(photo, error));
+        if (found->second.size == 0 || !is_settled(found->second)) return false;
         const std::string stem = photo.stem().string();
-        return is_whole(photo) && std::none_of(files_.begin(), files_.end(), [&](const auto& f) { return f.first.filename().string().rfind(stem, 0) == 0 && !is_whole(f.first); });
+        return std::none_of(files_.begin(), files_.end(), [&](const auto& f) {
+            const std::string name = f.first.filename().string();
+            const bool like_it = name.rfind(stem, 0) == 0 && name.size() > stem.size() && (name[stem.size()] == '.' || name[stem.size()] == '_');
+            return like_it && !is_settled(f.second);
+        });
     }
 
-    /// Of the whole files, by which a change shows.
+    /// Of the files that have settled, by which a change shows.
     std::string state() const {
         std::string out;
         for (const auto& [path, file] : files_)
-            if (is_whole(path)) out += path.string() + "|" + std::to_string(file.size) + "|" + std::to_string(file.written.time_since_epoch().count()) + "\n";
+            if (is_settled(file)) out += path.string() + "|" + std::to_string(file.size) + "|" + std::to_string(file.written.time_since_epoch().count()) + "\n";
         return out;
     }
-    bool all_whole() const {
-        return std::all_of(files_.begin(), files_.end(), [&](const auto& f) { return is_whole(f.first); });
+    bool all_settled() const {
+        return std::all_of(files_.begin(), files_.end(), [&](const auto& f) { return is_settled(f.second); });
     }
 
   private:
@@ -79,7 +88,13 @@ class Folder {
         fs::file_time_type written;
         Clock::time_point since;
     };
-    fs::path root_, without_;
+    bool is_settled(const File& file) const { return looked_ - file.since >= settle_; }
+    bool is_ours(const fs::path& path) const {
+        return std::any_of(roots_.begin(), roots_.end(), [&](const fs::path& root) { return std::mismatch(root.begin(), root.end(), path.begin(), path.end()).first == root.end(); });
+    }
+
+    std::vector<fs::path> roots_;
+    fs::path without_;
     Clock::duration settle_;
     std::map<fs::path, File> files_;
     Clock::time_point looked_;
@@ -92,11 +107,16 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
     if (is_video(scene)) throw UsageError(scene.string() + ": is a film, all of which is there. Remedy: vdbcarve reconstruct");
     if (!fs::is_directory(scene)) throw InputError(scene.string() + ": there is no such folder to watch");
     if (!(options.settle_s >= 0) || !(options.poll_s > 0)) throw UsageError("watch: files settle in 0 s or more, and are looked at more than 0 s apart");
-    Folder folder(scene, options.reconstruct.output, options.settle_s);
+    std::vector<fs::path> roots{fs::canonical(scene)};
+    for (const fs::path& given : {options.reconstruct.views.images, options.reconstruct.mask.masks, options.reconstruct.mask.ignore_masks}) {
+        const fs::path folder = io::in_scene(given, scene);
+        if (!folder.empty() && fs::is_directory(folder)) roots.push_back(fs::canonical(folder));
+    }
+    Folders folder(roots, options.reconstruct.output, options.settle_s);
     ReconstructOptions job = options.reconstruct;
     job.views.added = {scene};
     job.views.allow_missing = job.mask.allow_missing = true;
-    job.views.is_whole = [&](const fs::path& file) { return folder.is_whole_with_mask(file); };
+    job.views.is_whole = [&](const fs::path& file) { return folder.is_whole(file); };
 
     Reconstruction result;
     std::optional<std::string> done;  ///< state of the folder that was tried last
@@ -122,6 +142,7 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
                 Progress quiet;
                 const size_t views = load_views(so_far, quiet).views.size();
                 if (views < options.first_views) {
+                    trouble = nullptr;
                     wait_for(std::to_string(views) + " of the first " + counted(options.first_views, "view") + " are here");
                 } else {
                     const auto start = Clock::now();
@@ -142,13 +163,16 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
             } catch (const UndeterminedError& e) {
                 trouble = std::current_exception();
                 wait_for(e.what());
+            } catch (const fs::filesystem_error& e) {  // something was taken away while it was looked at
+                trouble = std::current_exception();
+                wait_for(e.what());
             }
             changed = Clock::now();
             if (options.until_views && made && !trouble && result.views >= options.until_views) return result;
         }
-        if (!folder.all_whole()) changed = Clock::now();
+        if (!folder.all_settled()) changed = Clock::now();
         if (options.idle_s > 0 && std::chrono::duration<double>(Clock::now() - changed).count() > options.idle_s) {
-            if (trouble) std::rethrow_exception(trouble);
+            if (!made && trouble) std::rethrow_exception(trouble);
             if (!made) throw InputError(scene.string() + ": nothing came (" + (waiting.empty() ? "no photograph" : waiting) + ")");
             return result;
         }

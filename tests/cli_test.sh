@@ -60,6 +60,10 @@ check 'the last line is the report' grep -q '"mesh"' <(tail -n 1 stdout)
 check 'progress is told' grep -q '"event":"progress","stage":"carve","share":1' stdout
 check 'warnings are told' grep -q '"event":"warning"' stdout
 expect 2 '"event":"error","exit_code":2,"text":"the bounds' --json - reconstruct scene -o failed --bounds 50,50,50,51,51,51
+mkdir shuffled && cp -r scene/* shuffled/ && mv shuffled/masks/0001.png m && mv shuffled/masks/0004.png shuffled/masks/0001.png && mv m shuffled/masks/0004.png
+mv shuffled/masks/0002.png m && mv shuffled/masks/0005.png shuffled/masks/0002.png && mv m shuffled/masks/0005.png
+expect 4 '"event":"error","exit_code":4' --json - reconstruct shuffled -o shuffled_out --resolution 24 --max-misses 4
+check 'also of a result that is contradicted the report is last' grep -q '"mesh"' <(tail -n 1 stdout)
 expect 0 'failed.tar.gz: [0-9.]+ MB, no photographs' bundle failed
 check 'a bundle says what a run failed with' grep -q '"stage": "carve"' <(tar xzOf failed.tar.gz vdbcarve-bundle/failure/failure.json)
 expect 0 'b.tar.gz' bundle out -o b.tar.gz --width 60

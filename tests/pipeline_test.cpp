@@ -700,6 +700,7 @@ struct Arrivals {
         const auto b = report["grid"]["bounds"].get<std::array<double, 6>>();
         o.bounds = Box3d(Vec3d(b[0], b[1], b[2]), Vec3d(b[3], b[4], b[5]));
         o.resolution = 0;
+        o.grid.reset();
         o.voxel_size = report["grid"]["voxel_size"].get<double>();
         const auto at = report["grid"]["origin"].get<std::array<double, 3>>();
         o.origin = Vec3d(at[0], at[1], at[2]);
@@ -867,9 +868,29 @@ TEST(Watch, EndsWhenNothingComesAndSaysWhatWasWrong) {
     EXPECT_THROW(watch(w, quiet), InputError);
     a.arrive(2);
     EXPECT_EQ(watch(w, quiet).views, 5u);
+    // What is empty for good holds nothing up, nor does a folder of another kind.
+    write_text(a.folder / "scene/images/.keep", "");
+    write_text(a.folder / ("scene/images/" + fs::path(a.names[1]).stem().string() + ".lock"), "");
     // Another watch goes on from there.
     a.arrive(5);
+    const auto settle = [] { std::this_thread::sleep_for(std::chrono::milliseconds(300)); };
+    settle();
     EXPECT_EQ(watch(w, quiet).added_views, 1u);
+    // Something broken, and nothing else comes.
+    write_text(a.folder / ("scene/masks/" + fs::path(a.names[6]).stem().string() + ".png"), "no picture");
+    fs::copy_file(a.folder / ("all/images/" + a.names[6]), a.folder / ("scene/images/" + a.names[6]));
+    settle();
+    WatchOptions broken = w;
+    broken.reconstruct.output = a.folder / "broken";
+    EXPECT_THROW(watch(broken, quiet), InputError);
+    fs::remove(a.folder / ("scene/masks/" + fs::path(a.names[6]).stem().string() + ".png"));
+    EXPECT_EQ(watch(broken, quiet).views, 6u);
+    // Photographs and masks elsewhere, by whatever path.
+    fs::rename(a.folder / "scene/images", a.folder / "photographs");
+    fs::create_directory_symlink(a.folder / "photographs", a.folder / "link");
+    broken.reconstruct.views.images = a.folder / "link";
+    broken.reconstruct.output = a.folder / "elsewhere";
+    EXPECT_EQ(watch(broken, quiet).views, 6u);
     w.reconstruct.views.scene = a.folder / "nowhere";
     EXPECT_THROW(watch(w, quiet), InputError);
 }
@@ -887,12 +908,100 @@ TEST(Pipeline, MasksOfKnownPhotographsAreNotMadeAgain) {
     const auto made = [&] { const std::string text = read_text(log); return std::count(text.begin(), text.end(), '\n'); };
     a.run(a.options);
     EXPECT_EQ(made(), 8);
+    const std::string known = a.bytes("out/masks/" + fs::path(a.names[3]).stem().string() + ".png");
     fs::remove_all(a.folder / "out/stages/mask_command");  // it has a memory of its own
     a.arrive(8);
     a.run(a.options);
     EXPECT_EQ(made(), 9);
-    const std::string known = a.bytes("out/masks/" + fs::path(a.names[3]).stem().string() + ".png");
     EXPECT_EQ(known, a.bytes("out/masks/" + fs::path(a.names[3]).stem().string() + ".png"));
+    // One that was damaged in the meantime is made again.
+    for (const auto& entry : fs::directory_iterator(a.folder / "out/stages"))
+        if (entry.path().filename().string().rfind("masks-", 0) == 0) write_text(entry.path() / "3.png", "no picture");
+    fs::remove_all(a.folder / "out/stages/mask_command");
+    fs::remove(a.folder / ("scene/images/" + a.names[0]));
+    a.run(a.options);
+    EXPECT_EQ(made(), 10);
+    EXPECT_EQ(known, a.bytes("out/masks/" + fs::path(a.names[3]).stem().string() + ".png"));
+}
+
+// Two photographs, and their masks, with the same bytes are two views all the same.
+TEST(Pipeline, ViewsThatAreAlikeAreAdded) {
+    Arrivals a;
+    for (const size_t n : {0, 1, 2, 3, 4}) a.arrive(n);
+    for (const char* part : {"images/", "masks/"}) {
+        const auto name = [&](size_t n) { return a.folder / (std::string("scene/") + part + (part[0] == 'i' ? a.names[n] : fs::path(a.names[n]).stem().string() + ".png")); };
+        fs::copy_file(name(0), name(8), fs::copy_options::overwrite_existing);
+    }
+    a.options.color.mode = ColorMode::None;
+    a.options.max_misses = 1;
+    a.run(a.options);
+    a.arrive(5);
+    ReconstructOptions o = a.options;
+    o.views.added = {a.options.views.scene};
+    Progress quiet;
+    EXPECT_EQ(reconstruct(o, quiet).views, 7u);
+}
+
+// What was asked for in other words is not made again: the hull of the first run is the one that is kept, and its config.toml repeats it elsewhere.
+TEST(Pipeline, AddingNothingRedoesNothing) {
+    for (const bool by_grid : {false, true}) {
+        Arrivals a;
+        for (const size_t n : {0, 1, 2, 3, 4, 5}) a.arrive(n);
+        if (by_grid) {
+            a.options.resolution = 0;
+            a.options.grid = {56, 48, 40};
+        }
+        a.options.config_text = "reconstruct.scene=\"x\"\nreconstruct.resolution=56\n";
+        const json first = a.run(a.options);
+        ReconstructOptions o = a.options;
+        o.views.added = {a.options.views.scene};
+        const json second = a.run(o);
+        for (const char* stage : {"mask", "carve", "level_set", "color", "mesh"}) EXPECT_TRUE(Job::reused(second, stage)) << stage;
+        EXPECT_EQ(first["grid"]["bounds"], second["grid"]["bounds"]);
+        EXPECT_EQ(first["grid"]["bounds_automatic"], second["grid"]["bounds_automatic"]);
+        a.arrive(6);
+        const json third = a.run(o);
+        EXPECT_EQ(first["grid"]["bounds"], third["grid"]["bounds"]);
+        const std::string config = a.bytes("out/config.toml");
+        EXPECT_EQ(config.find("resolution"), std::string::npos);
+        EXPECT_NE(config.find("reconstruct.voxel-size=" ), std::string::npos);
+        EXPECT_NE(config.find("reconstruct.bounds=\""), std::string::npos);
+        a.run(a.batch(third));
+        EXPECT_EQ(a.hull(a.folder / "batch"), a.hull(a.folder / "out"));
+    }
+}
+
+// Fields of all views together exceed the limit: then views are not added but all are carved, in batches; the same result.
+TEST(Pipeline, AddingWithinAMemoryLimit) {
+    Arrivals a;
+    for (const size_t n : {0, 1, 2, 3, 4, 5}) a.arrive(n);
+    a.run(a.options);
+    ReconstructOptions o = a.options;
+    o.views.added = {a.options.views.scene};
+    o.memory_limit = 1;  // less than the process holds: batches of the least size
+    o.last_stage = LastStage::Carve;
+    a.arrive(6);
+    json limited;
+    ASSERT_NO_THROW(limited = a.run(o));
+    o.memory_limit = 0;
+    o.last_stage = LastStage::Export;
+    const json third = a.run(o);
+    EXPECT_EQ(limited["grid"]["bounds"], third["grid"]["bounds"]);
+    EXPECT_EQ(limited["grid"]["active_voxels"], third["grid"]["active_voxels"]);
+}
+
+// Views of another scene that are not named again would be lost silently.
+TEST(Pipeline, ViewsThatAreGoneAreNamed) {
+    Arrivals a;
+    for (const size_t n : {0, 1, 2, 3, 4, 5}) a.arrive(n);
+    a.run(a.options);
+    fs::remove(a.folder / ("scene/images/" + a.names[2]));
+    ReconstructOptions o = a.options;
+    o.views.added = {a.options.views.scene};
+    const json r = a.run(o);
+    bool said = false;
+    for (const std::string w : r["warnings"]) said |= w.find(fs::path(a.names[2]).stem().string()) != std::string::npos && w.find("which is not here") != std::string::npos;
+    EXPECT_TRUE(said) << r["warnings"];
 }
 
 TEST(Bundle, HoldsASceneThatCarvesAlikeAndNoPhotographs) {
@@ -913,6 +1022,10 @@ TEST(Bundle, HoldsASceneThatCarvesAlikeAndNoPhotographs) {
     for (const char* file : {"README.txt", "versions.json", "report.json", "report.html", "config.toml", "scene/cameras.json", "scene/masks/0003.png"})
         EXPECT_EQ(fs::exists(root / file), std::string(file) != "config.toml") << file;  // the library was given no configuration
     EXPECT_FALSE(fs::exists(root / "scene/images"));
+    // The photographs' colours are not in it: COLOR_0, in base64 wherever it may begin.
+    const auto has_colors = [](const std::string& page) { return page.find("Q09MT1Jf") != std::string::npos || page.find("NPTE9SXz") != std::string::npos || page.find("DT0xPUl8w") != std::string::npos; };
+    EXPECT_FALSE(has_colors(read_text(root / "report.html")));
+    EXPECT_EQ(has_colors(job.bytes("report.html")), report_has_viewer());
     EXPECT_EQ(io::read_image8(root / "scene/masks/0003.png").width, 120);
     ReconstructOptions again = job.options;
     again.views.scene = root / "scene";
@@ -924,6 +1037,25 @@ TEST(Bundle, HoldsASceneThatCarvesAlikeAndNoPhotographs) {
     ASSERT_EQ(std::system(("tar xzf '" + archive.string() + "' -C '" + job.folder.path().string() + "'").c_str()), 0);
     EXPECT_EQ(io::read_image8(root / "scene/images/0003.jpg").width, 120);
     EXPECT_THROW(bundle(job.folder / "scene", archive, o, quiet), InputError);
+}
+
+// A later run that fails on a finished result: the bundle's scene is what that run had.
+TEST(Bundle, OfALaterRunThatFailedHasItsScene) {
+    Arrivals a;
+    for (const size_t n : {0, 1, 2, 3, 4, 5}) a.arrive(n);
+    a.run(a.options);
+    a.arrive(6);
+    fs::copy_file(a.folder / ("scene/masks/" + fs::path(a.names[6]).stem().string() + ".png"), a.folder / ("scene/masks/" + fs::path(a.names[7]).stem().string() + ".png"));
+    fs::copy_file(a.folder / ("all/images/" + a.names[7]), a.folder / ("scene/images/" + a.names[7]));
+    ReconstructOptions o = a.options;
+    o.views.added = {a.options.views.scene};
+    o.bounds = Box3d(Vec3d(50, 50, 50), Vec3d(51, 51, 51));
+    Progress quiet;
+    EXPECT_THROW(reconstruct(o, quiet), UsageError);
+    bundle(a.folder / "out", a.folder / "b.tar.gz", {}, quiet);
+    ASSERT_EQ(std::system(("tar xzf '" + (a.folder / "b.tar.gz").string() + "' -C '" + a.folder.path().string() + "'").c_str()), 0);
+    const json cameras = json::parse(read_text(a.folder / "vdbcarve-bundle/scene/cameras.json"));
+    EXPECT_EQ(cameras["frames"].size(), 8u);
 }
 
 // Of a run that failed: what it failed with, and the scene that it failed on.

@@ -140,6 +140,45 @@ TEST(Decimate, FewerFacesSameShape) {
     }
 }
 
+// For a picture: at most so many faces, none far from the shape, colours carried, thin parts still there.
+TEST(Decimate, SimplifiedForDisplay) {
+    Mesh ball = blocky(30, 0);
+    for (const auto& v : ball.vertices) ball.colors.push_back({v[0] > 0 ? 1.f : 0.f, 0.25f, 0.5f});
+    ball.normals = vertex_normals(ball);
+    for (const size_t most : {20000, 5000, 800}) {
+        const Mesh few = simplified_for_display(ball, most);
+        EXPECT_LE(few.triangles.size(), most);
+        EXPECT_GE(few.triangles.size(), most / 4) << most;
+        ASSERT_EQ(few.colors.size(), few.vertices.size());
+        for (size_t i = 0; i < few.vertices.size(); ++i) {
+            const auto& v = few.vertices[i];
+            EXPECT_NEAR(std::hypot(v[0] - 0.31, v[1] - 0.17, v[2] + 0.23), 30, 2.5);
+            EXPECT_FLOAT_EQ(few.colors[i][1], 0.25f);
+            if (v[0] > 6) { EXPECT_FLOAT_EQ(few.colors[i][0], 1.f); }
+        }
+        const double volume = measure(few).volume;
+        EXPECT_NEAR(volume, measure(ball).volume, 0.05 * measure(ball).volume);
+    }
+    // A plate thinner than any cell stays in sight.
+    Mesh plate;
+    for (int i = 0; i <= 100; ++i)
+        for (int j = 0; j <= 100; ++j)
+            for (int side = 0; side < 2; ++side) plate.vertices.push_back({0.1f * static_cast<float>(i), 0.1f * static_cast<float>(j), 0.001f * static_cast<float>(side)});
+    const auto at = [](int i, int j, int side) { return static_cast<uint32_t>((i * 101 + j) * 2 + side); };
+    for (int i = 0; i < 100; ++i)
+        for (int j = 0; j < 100; ++j)
+            for (int side = 0; side < 2; ++side) {
+                plate.triangles.push_back({at(i, j, side), at(i + 1, j, side), at(i + 1, j + 1, side)});
+                plate.triangles.push_back({at(i, j, side), at(i + 1, j + 1, side), at(i, j + 1, side)});
+            }
+    const Mesh sheet = simplified_for_display(plate, 2000);
+    EXPECT_LE(sheet.triangles.size(), 2000u);
+    EXPECT_NEAR(measure(sheet).area, 100, 15);  // one side of it
+    // Few faces, or none, stay as they are.
+    EXPECT_EQ(simplified_for_display(plate, 1000000).triangles.size(), plate.triangles.size());
+    EXPECT_TRUE(simplified_for_display({}, 100).vertices.empty());
+}
+
 TEST(Decimate, StaysWithinTheError) {
     Mesh mesh = blocky(25, 0);
     Progress quiet;

@@ -19,6 +19,7 @@ struct Common {
     bool quiet = false, verbose = false;
     int threads = 0;  ///< 0: all
     std::string json;  ///< "-": JSON on stdout
+    bool report_said = false;  ///< the report, which is the last event, was written; set by commands
 };
 
 /// A command adds itself to the program; `run` is called after parsing and returns the exit code.

@@ -19,7 +19,7 @@ Command add_bundle(CLI::App& program) {
     app->fallthrough();
     app->add_option("out", raw->result, "the folder given to reconstruct as -o, finished or not")->required();
     app->add_option("-o,--output", raw->output, "the archive (default: OUT.tar.gz, in the working folder)");
-    app->add_flag("--photos", o.photos, "with the photographs, made smaller (otherwise only their silhouettes are in it)");
+    app->add_flag("--photos", o.photos, "with the photographs, made smaller and the model's colours (otherwise only silhouettes and the bare shape are in it)");
     app->add_option("--width", o.width_px, "of masks and photographs, pixels (0: as they are)")->capture_default_str()->check(CLI::Range(0, 65536));
     app->add_option("--images", o.images, "folder of photographs (default: where the result says)");
     app->footer("It holds report, options (with the paths of your folders), cameras, masks, what the run failed of and the versions of program and machine.\n"

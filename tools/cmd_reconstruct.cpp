@@ -7,6 +7,7 @@
 #include <fstream>
 #include <iostream>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "cli.h"
 #include "vdbcarve/pipeline.h"
@@ -260,6 +261,7 @@ void say_stage(const std::string& event, bool json) {
 
 void say_result(const Reconstruction& result, const ReconstructOptions& options, bool json) {
     if (json) {
+        if (!result.contradiction.empty() && !options.dry_run) std::cout << nlohmann::json{{"event", "error"}, {"exit_code", static_cast<int>(ExitCode::Contradiction)}, {"text", result.contradiction}}.dump() << std::endl;
         std::string line = result.report_json;
         line.erase(std::remove(line.begin(), line.end(), '\n'), line.end());
         std::cout << line << std::endl;
@@ -397,7 +399,10 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                     options.config_text += "reconstruct.add=[\"" + options.views.scene.string() + "\"]\n";
                     if (!options.mask.allow_missing) options.config_text += "reconstruct.allow-missing=true\n";
                     raw->watch.reconstruct = options;
-                    raw->watch.on_result = [&](const Reconstruction& result) { say_result(result, options, json); };
+                    raw->watch.on_result = [&](const Reconstruction& result) {
+                        say_result(result, options, json);
+                        common.report_said = true;
+                    };
                     const Reconstruction last = watch(raw->watch, progress);
                     if (!last.contradiction.empty()) throw ContradictionError(last.contradiction);
                     return 0;
@@ -405,6 +410,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                 options.config_text = config_of(program, app->get_name(), app->get_name());
                 const Reconstruction result = reconstruct(options, progress);
                 say_result(result, options, json);
+                common.report_said = true;
                 if (!result.contradiction.empty() && !options.dry_run) throw ContradictionError(result.contradiction);
                 return 0;
             }, true};

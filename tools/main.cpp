@@ -256,7 +256,7 @@ int run_program(const std::vector<std::string>& words) {
     if (common.threads > 0) limit.emplace(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(common.threads));
     const auto fail = [&](ExitCode code, const std::string& text) {
         if (bar.on_screen()) bar.clear();
-        event({{"event", "error"}, {"exit_code", static_cast<int>(code)}, {"text", text}});
+        if (!common.report_said) event({{"event", "error"}, {"exit_code", static_cast<int>(code)}, {"text", text}});
         spdlog::error("{}", text);
         return static_cast<int>(code);
     };

@@ -12,7 +12,7 @@ namespace vdbcarve {
 struct BundleOptions {
     std::filesystem::path images;  ///< folder of photographs; empty: where the result says
     int width_px = 640;            ///< masks (and photographs) are made smaller to this, their cameras with them; 0: as they are
-    bool photos = false;           ///< photographs, too; otherwise nothing shows what they show but their silhouettes
+    bool photos = false;           ///< photographs, and the model with its colours; otherwise silhouettes and the bare shape are all that is shown
 };
 
 /// Writes a .tar.gz with report.json and report.html, config.toml, what the last run failed of, versions of program, libraries and machine, and `scene`, a scene of masks and cameras that the

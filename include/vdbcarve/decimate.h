@@ -21,7 +21,7 @@ struct DecimateOptions {
 size_t decimate(Mesh& mesh, const DecimateOptions& options, Progress& progress);
 
 /// Fewer faces for a picture, of any mesh in a moment: vertices that share a cell of a raster become one, at their mean (Rossignac and Borrel 1993), which finds the cells' size for at most so
-/// many faces. What is thinner than a cell becomes a sheet or a line: neither closed nor manifold, but nothing is lost from sight. Colours and normals are means, too. About 0.15 us a face.
+/// many faces. What is thinner than a cell becomes a sheet or a line: neither closed nor manifold, but nothing is lost from sight. Colours are means, too; normals and quads are not kept. About 0.15 us a face.
 Mesh simplified_for_display(const Mesh& mesh, size_t most_faces);
 
 }  // namespace vdbcarve

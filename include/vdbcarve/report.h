@@ -12,7 +12,7 @@ namespace vdbcarve {
 
 struct ReportOptions {
     std::filesystem::path images;     ///< folder of photographs; empty: where the result says
-    bool photos = true;               ///< false: only the contours on them
+    bool photos = true;               ///< false: only the contours on them, and the model without its colours
     size_t most_faces = 250'000;      ///< of the model in the page; 0: no model, a picture only
     int photo_width_px = 420;         ///< of the photographs in the page
     size_t most_photos = 150;         ///< of so many views, the worst ones
