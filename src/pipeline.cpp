@@ -2042,8 +2042,19 @@ class Job {
         if (views_.units.empty() && said.empty()) progress_.note(std::string("the unit of length is unknown: files carry the scene's own units") + (aligned_ ? ". Remedy: --known-height, --known-distance or --known-length with --units" : ""));
     }
 
+    /// Bounds that were fixed by few views may be wide, and voxels are then coarser than was meant.
+    void warn_of_wide_bounds() {
+        if (!kept_ || !kept_->automatic) return;
+        Box3d object;
+        for (const auto& v : mesh_.vertices) object.extend(Vec3d(v[0], v[1], v[2]));
+        const double share = object.sizes().maxCoeff() / kept_->bounds.sizes().maxCoeff();
+        if (share < 0.75)
+            progress_.warn(text_of("the object takes %.0f %% of the bounds that were fixed when there were fewer views, so voxels are %.1f times as large as they might be. Remedy: reconstruct with another -o, which finds the bounds of all views; or --bounds and --voxel-size from the start", 100 * share, 1 / share));
+    }
+
     void export_all() {
         mark_extrapolation();
+        warn_of_wide_bounds();
         warn_of_unknown_frame();
         const FileFrame volume = frame_of("volume.vdb");
         openvdb::GridCPtrVec grids;
