@@ -135,6 +135,7 @@ class Colorist {
                     if (at_once) decide(n, candidates, count);
                     else counts[n] = static_cast<uint8_t>(count);
                 }
+                progress_.step(range.size() * (last - first));
             });
         });
         if (!at_once)
@@ -257,19 +258,22 @@ void spread(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface, const 
 }
 
 ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress) {
-    progress.begin("color", 6);
+    progress.begin("color", 1);
     ColorResult out;
     auto last = std::chrono::steady_clock::now();
     const auto lap = [&](const char* name, double less = 0) {
         const auto now = std::chrono::steady_clock::now();
         out.milliseconds.emplace_back(name, std::chrono::duration<double, std::milli>(now - last).count() - less);
         last = now;
-        progress.step();
+        progress.check();
     };
     const Volume volume(surface);
     const std::vector<uint32_t> contour = contour_of(volume);
     const std::vector<SurfacePoint> points = points_of(volume, contour, static_cast<float>(surface.voxelSize()[0]), options.normal_radius_vox);
     lap("contour and normals");
+    // In steps of a point and a view: half of the time goes into asking which views see a point, the rest in about equal parts into what surrounds that.
+    const size_t asked = std::max<size_t>(1, points.size() * inputs.size()), part = asked / 4 + 1;
+    progress.begin("color", asked + 4 * part);
     Colorist colorist(surface, volume, inputs, photos, options, progress);
     out.exposure = choose_exposure(options, inputs.size(), [&] {
         std::vector<SurfacePoint> places;
@@ -279,6 +283,7 @@ ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<Co
     colorist.set_gains(out.exposure.gains);
     const double photo_ms = colorist.milliseconds_of_photos();
     lap("exposure", photo_ms);
+    progress.step(part);
     const std::vector<PointColor> seen = colorist.colors_of(points, out.statistics.voxels_of_view);
     lap("views", colorist.milliseconds_of_photos() - photo_ms);
     out.milliseconds.emplace_back("photographs and their fields", colorist.milliseconds_of_photos());
@@ -299,11 +304,14 @@ ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<Co
     if (std::all_of(known.begin(), known.end(), [](uint8_t k) { return k == 0; })) explain_unseen(inputs);
     fill_colors(keys, known, colors);
     lap("fill");
+    progress.step(part);
     out.color = empty_color(surface);
     spread(*out.color, surface, contour, colors, options.depth_vox);
     lap("spread");
+    progress.step(part);
     finish_color(out, surface, contour, known, confidence, options);
     lap("grids");
+    progress.step(part);
     return out;
 }
 
@@ -381,7 +389,7 @@ double color_vertices_from_photos(Mesh& mesh, const openvdb::FloatGrid& surface,
                                   const ColorOptions& options, Progress& progress) {
     check_color(surface, inputs, options);
     color_vertices(mesh, color);
-    progress.begin("color", 1);
+    progress.begin("color", std::max<size_t>(1, mesh.vertices.size() * inputs.size()));
     std::vector<SurfacePoint> points(mesh.vertices.size());
     const Volume volume(surface);
     const std::vector<float> weights = normal_weights(options.normal_radius_vox);

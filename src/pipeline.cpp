@@ -2053,6 +2053,7 @@ class Job {
     }
 
     void export_all() {
+        progress_.begin("export", views_.views.size() + o_.mesh_formats.size() + 2);  // views are compared, files written
         mark_extrapolation();
         warn_of_wide_bounds();
         warn_of_unknown_frame();
@@ -2065,6 +2066,7 @@ class Job {
         described.voxel_size *= volume.scale;
         write_vdb(o_.output / "volume.vdb", grids, described, o_.vdb_half);
         grids.clear();
+        progress_.step();
         // A mesh of an earlier run in a format not asked for now would no longer fit the rest.
         for (const char* format : {"ply", "obj", "stl", "glb", "mtl"})
             if (std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), format) == o_.mesh_formats.end()) fs::remove(o_.output / (std::string("mesh.") + format));
@@ -2073,18 +2075,19 @@ class Job {
             const FileFrame frame = frame_of(name);
             if (frame.moves()) write_mesh(o_.output / name, in_frame(mesh_, frame));
             else write_mesh(o_.output / name, mesh_);
+            progress_.step();
         }
         write_file(o_.output / "cameras.json", cameras_json(views_));
         place_align_pictures();
         agreement();
         preview();
+        progress_.step();
     }
 
     void agreement() {
         const size_t n = views_.views.size();
         const std::vector<Camera> cameras = views_.cameras();
         std::vector<SilhouetteAgreement> a(n);
-        progress_.begin("export", n);
         tbb::parallel_for(size_t{0}, n, [&](size_t i) {
             if (!masks_.masks[i].coverage.empty()) a[i] = compare_silhouettes(silhouette_of(mesh_, cameras[i]), view_of(masks_.masks[i]));
             progress_.step();

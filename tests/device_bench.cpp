@@ -195,6 +195,7 @@ void bench_render(const test::PackedScene& scene, const std::array<int, 3>& grid
     const std::pair<const char*, std::function<void(RenderOptions&)>> kinds[] = {
         {"surface, ambient occlusion", [](RenderOptions&) {}},
         {"surface, four rays a pixel", [](RenderOptions& o) { o.samples = 2; }},
+        {"surface, 6 rays of it", [](RenderOptions& o) { o.ambient_rays = 6; }},
         {"surface, no ambient occlusion", [](RenderOptions& o) { o.ambient_rays = 0; }},
         {"voxels", [](RenderOptions& o) { o.style = RenderStyle::Voxels; }},
         {"x-ray", [](RenderOptions& o) { o.style = RenderStyle::XRay; }},

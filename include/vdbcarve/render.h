@@ -37,7 +37,7 @@ struct RenderOptions {
     int samples = 2;                   ///< rays along a pixel's side
     bool color = true;                 ///< the volume's own colours, where it has any
     std::array<double, 3> plain{0.55, 0.55, 0.56};  ///< linear light of what has none
-    int ambient_rays = 8;              ///< a ray into how many directions it is asked whether the sky is hidden; 0: no ambient occlusion
+    int ambient_rays = 6;              ///< a ray into how many directions it is asked whether the sky is hidden; 0: no ambient occlusion
     double ambient_reach = 0.08;       ///< and how far, as a share of the volume's longest side
     double iso = 0;                    ///< the surface lies where the level set has this value, world units; within the band
     Plane slice;                       ///< of RenderStyle::Slice
