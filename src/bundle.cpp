@@ -9,7 +9,6 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <opencv2/core/version.hpp>
-#include <sstream>
 #include <thread>
 
 #include "atomic_file.h"

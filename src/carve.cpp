@@ -235,8 +235,7 @@ class Carver {
     void count(const Leaf& leaf, Found& found) const {
         const Coord origin = leaf.origin();
         const int at[3] = {origin.x(), origin.y(), origin.z()};
-        const double centre = 3.5;
-        const bool in_box = box_around(at[0] + centre, at[1] + centre, at[2] + centre, std::sqrt(3.0) * centre * options_.lattice.voxel_size) == NodeAnswer::In;
+        const bool in_box = box_around(ball_of(at, 8)) == NodeAnswer::In;
         count_values(found, at, in_box, leaf.buffer().data());
     }
 
@@ -260,22 +259,36 @@ class Carver {
         std::vector<Cut> cuts;                      ///< those of the last list made
     };
 
-    /// The bounds, about a ball around an index position: beyond their band, deeper inside than it, or neither for certain.
-    NodeAnswer box_around(double ci, double cj, double ck, double radius) const {
-        const Vec3d c = options_.lattice.world_from_index(Vec3d(ci, cj, ck));
+    /// Of a node's voxel centres: the middle in index coordinates, the radius in world units.
+    struct IndexBall {
+        double i, j, k, radius;
+    };
+    IndexBall ball_of(const int origin[3], int size) const {
+        const double half = 0.5 * (size - 1);
+        return {origin[0] + half, origin[1] + half, origin[2] + half, std::sqrt(3.0) * half * options_.lattice.voxel_size};
+    }
+    IndexBall ball_of(const NodeState& node) const { return ball_of(node.origin, node.size); }
+
+    /// The bounds, about a ball: beyond their band, deeper inside than it, or neither for certain.
+    NodeAnswer box_around(const IndexBall& ball) const {
+        const Vec3d c = options_.lattice.world_from_index(Vec3d(ball.i, ball.j, ball.k));
         const double p[3] = {c.x(), c.y(), c.z()};
         const double d = kernel::box_distance(p, lo_, hi_);
         const double rounding = 1e-3 * options_.lattice.voxel_size;
-        if (d - radius - rounding > band_) return NodeAnswer::Out;
-        return d + radius + rounding < -band_ ? NodeAnswer::In : NodeAnswer::Mixed;
+        if (d - ball.radius - rounding > band_) return NodeAnswer::Out;
+        return d + ball.radius + rounding < -band_ ? NodeAnswer::In : NodeAnswer::Mixed;
     }
 
-    bool out_of_range(const NodeState& node) const {
+    /// Nothing of the node can matter: it lies outside the range, or beyond the bounds. Else notes whether it lies deep inside them.
+    bool is_beyond(NodeState& node, const IndexBall& ball) const {
         for (int a = 0; a < 3; ++a) {
             const auto s = static_cast<size_t>(a);
             if (node.origin[a] >= range_.max[s] || node.origin[a] + node.size <= range_.min[s]) return true;
         }
-        return false;
+        if (node.in_box) return false;
+        const NodeAnswer box = box_around(ball);
+        node.in_box = box == NodeAnswer::In;
+        return box == NodeAnswer::Out;
     }
 
     /// The child's origin, in an order that is the same everywhere.
@@ -297,16 +310,9 @@ class Carver {
 
     /// `grows`: on this node no value of the old hull can be too large, so that the new views, and the frames of all, can only raise it.
     void extend(Walk& walk, const Before& before, const NodeState& node, bool grows, Extended& out) const {
-        if (out_of_range(node)) return;
-        const double half = 0.5 * (node.size - 1), h = options_.lattice.voxel_size;
-        const double ci = node.origin[0] + half, cj = node.origin[1] + half, ck = node.origin[2] + half;
-        const double radius = std::sqrt(3.0) * half * h;
         NodeState state = node;
-        if (!state.in_box) {
-            const NodeAnswer box = box_around(ci, cj, ck, radius);
-            if (box == NodeAnswer::Out) return;
-            state.in_box = box == NodeAnswer::In;
-        }
+        const IndexBall ball = ball_of(node);
+        if (is_beyond(state, ball)) return;
         const auto deeper = [&] {
             for (int child = 0; child < 8; ++child) extend(walk, before, child_of(state, child), grows, out);
         };
@@ -315,7 +321,7 @@ class Carver {
             int surely_then = 0, maybe_then = 0, surely = 0, maybe = 0;
             walk.found.node_tests += views_.size();
             for (size_t v = 0; v < views_.size(); ++v) {
-                const NodeAnswer unseen = kernel::node_answers(views_[v], kernel::node_ball(views_[v], ci, cj, ck, radius), near_, band_).unseen;
+                const NodeAnswer unseen = kernel::node_answers(views_[v], kernel::node_ball(views_[v], ball.i, ball.j, ball.k, ball.radius), near_, band_).unseen;
                 surely += unseen == NodeAnswer::In;
                 maybe += unseen != NodeAnswer::Out;
                 if (static_cast<int>(v) == before.views - 1) surely_then = surely, maybe_then = maybe;
@@ -336,7 +342,7 @@ class Carver {
         int misses = 0;
         for (int i = 0; i < node.view_count; ++i) {
             const CarveView& view = views_[node.views[i]];
-            const kernel::NodeAnswers answers = kernel::node_answers(view, kernel::node_ball(view, ci, cj, ck, radius), near_, band_);
+            const kernel::NodeAnswers answers = kernel::node_answers(view, kernel::node_ball(view, ball.i, ball.j, ball.k, ball.radius), near_, band_);
             misses += answers.hull == NodeAnswer::Out;
             if (answers.hull == NodeAnswer::Mixed) walk.cuts.push_back({answers.silhouette_px, node.views[i], answers.clear_of_frame});
         }
@@ -392,23 +398,15 @@ class Carver {
     // ----------------------------------------------------------------------------- the walk
 
     void descend(Walk& walk, const NodeState& node, size_t level, std::unique_ptr<OpenLeaf> leaf = {}) const {
-        if (out_of_range(node)) return;
-        const double half = 0.5 * (node.size - 1), h = options_.lattice.voxel_size;
-        const double ci = node.origin[0] + half, cj = node.origin[1] + half, ck = node.origin[2] + half;
-        const double radius = std::sqrt(3.0) * half * h;
-
         NodeState state = node;
-        if (!state.in_box) {
-            const NodeAnswer box = box_around(ci, cj, ck, radius);
-            if (box == NodeAnswer::Out) return;
-            state.in_box = box == NodeAnswer::In;
-        }
+        const IndexBall ball = ball_of(node);
+        if (is_beyond(state, ball)) return;
 
         walk.cuts.clear();
         walk.found.node_tests += static_cast<size_t>(node.view_count);
         for (int i = 0; i < node.view_count; ++i) {
             const CarveView& view = views_[node.views[i]];
-            const kernel::NodeAnswers answers = kernel::node_answers(view, kernel::node_ball(view, ci, cj, ck, radius), near_, band_);
+            const kernel::NodeAnswers answers = kernel::node_answers(view, kernel::node_ball(view, ball.i, ball.j, ball.k, ball.radius), near_, band_);
             if (answers.hull == NodeAnswer::Out) {
                 if (++state.certain_misses > options_.max_misses) return;
             } else if (answers.hull == NodeAnswer::Mixed) {
@@ -420,7 +418,7 @@ class Carver {
             int seen_whole = 0, seen_maybe = 0;
             walk.found.node_tests += views_.size();
             for (const CarveView& view : views_) {
-                const NodeAnswer unseen = kernel::node_answers(view, kernel::node_ball(view, ci, cj, ck, radius), near_, band_).unseen;
+                const NodeAnswer unseen = kernel::node_answers(view, kernel::node_ball(view, ball.i, ball.j, ball.k, ball.radius), near_, band_).unseen;
                 seen_whole += unseen == NodeAnswer::In;
                 seen_maybe += unseen != NodeAnswer::Out;
             }

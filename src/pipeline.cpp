@@ -1025,7 +1025,7 @@ class Job {
         plan_grid();
         if (o_.dry_run) return;
         find_known();
-        if (known_ && known_->views.size() == inputs_.size()) return;
+        if (known_whole()) return;
         if (backend_ == Backend::Cuda && on_device("distance", [&] {
                 device_->upload(used_masks_);
                 device_->distance(field_options_);
@@ -1050,6 +1050,9 @@ class Job {
         for (size_t u = 0; u < inputs_.size(); ++u) inputs_[u].field = &fields_[u];
     }
 
+    /// The very hull is there, under another name.
+    bool known_whole() const { return known_ && known_->views.size() == inputs_.size(); }
+
     /// What a hull depends on, but for its views; and each of those.
     void find_known() {
         Sha256 h;
@@ -1073,7 +1076,7 @@ class Job {
         hull_id_ = id.hex();
         if (carve_.occupancy || bricks_ > 1) return;
         known_ = find_known_hull(store_.folder(), base_key_, view_keys_);
-        if (!known_ || known_->views.size() == inputs_.size()) return;  // of all of them: taken as it is
+        if (!known_ || known_whole()) return;  // of all of them: taken as it is
         // A device carves anew sooner than it is told of a hull; many new views, or fields that do not fit into memory together, are for a carve, too.
         if (backend_ == Backend::Cuda || 2 * known_->views.size() < inputs_.size() || batch_ < inputs_.size()) {
             known_.reset();
@@ -1470,7 +1473,7 @@ class Job {
             warn_again(*note);
             return true;
         }
-        if (known_ && known_->views.size() == inputs_.size()) {  // under another name: the same voxels were asked for in other words
+        if (known_whole()) {  // under another name: the same voxels were asked for in other words
             const fs::path note_file = fs::path(known_->file).replace_extension(".json");
             if (const auto note = stage_note(note_file, {"grid", "warnings", "backend", "id"})) {
                 place_copy(known_->file, hull_file());
