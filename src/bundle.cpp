@@ -42,11 +42,22 @@ std::string versions() {
     return out.dump(1) + "\n";
 }
 
+/// Of a folder that need not be there.
+std::vector<fs::path> sorted_files(const fs::path& folder) {
+    std::vector<fs::path> out;
+    if (fs::is_directory(folder))
+        for (const auto& entry : fs::directory_iterator(folder))
+            if (entry.is_regular_file()) out.push_back(entry.path());
+    std::sort(out.begin(), out.end());
+    return out;
+}
+
 constexpr const char* kReadMe = R"(A bundle that `vdbcarve bundle` made.
 
 report.json, report.html   what came of the run, where it was finished
 config.toml                its options
 failure/                   of the last run, where it was not finished: what it ended with, its options and cameras
+unverified/                cameras that were found and are not to be trusted, and why
 versions.json              of program, libraries and machine
 scene/                     masks and cameras; lenses are removed, pictures made smaller and cameras with them
 
@@ -60,9 +71,11 @@ with the options of config.toml for grid, carving and result. What masks ignored
 }  // namespace
 
 size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions& options, Progress& progress) {
-    if (!fs::is_directory(result)) throw InputError(result.string() + ": no such folder");
+    if (!fs::is_directory(result)) throw InputError(result.string() + ": no such folder. Remedy: the folder given to reconstruct as -o; of a run that ended before it made one, what the program said is all there is to send");
     if (!fs::exists(result / "stages" / "made_by_vdbcarve.json")) throw InputError(result.string() + ": was not made by vdbcarve. Remedy: the folder given to reconstruct as -o");
     if (options.width_px < 0) throw UsageError("bundle: masks cannot be " + std::to_string(options.width_px) + " pixels wide");
+    const std::string said = file.filename().string();
+    if (!said.ends_with(".tar.gz") && !said.ends_with(".tgz")) throw UsageError(file.string() + ": a bundle is a .tar.gz. Remedy: -o NAME.tar.gz");
     TarGz archive("vdbcarve-bundle");
     archive.add("README.txt", kReadMe);
     archive.add("versions.json", versions());
@@ -71,19 +84,19 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     if (fs::exists(result / "stages" / "failure.json"))
         for (const char* name : {"failure.json", "failure.toml", "cameras.json"})
             if (fs::exists(result / "stages" / name)) archive.add(std::string("failure/") + name, read_file(result / "stages" / name));
+    for (const fs::path& left : sorted_files(result / "unverified")) {
+        const bool shows_photographs = left.extension() == ".png" && left.filename() != "energy_map.png";
+        if (options.photos || !shows_photographs) archive.add("unverified/" + left.filename().string(), read_file(left));
+    }
 
-    std::vector<fs::path> masks;
-    if (fs::is_directory(result / "masks"))
-        for (const auto& entry : fs::directory_iterator(result / "masks"))
-            if (entry.path().extension() == ".png") masks.push_back(entry.path());
-    std::sort(masks.begin(), masks.end());
+    std::vector<fs::path> masks = sorted_files(result / "masks");
+    std::erase_if(masks, [](const fs::path& mask) { return mask.extension() != ".png"; });
     if (masks.empty()) throw InputError((result / "masks").string() + ": holds no masks: the run ended before there were any. Remedy: send config.toml and what the program said");
     Views views;
     std::vector<std::string> names;
     try {
-        // Masks are the last run's; so are its cameras, where it failed and had got as far as that.
-        const bool failed = fs::exists(result / "stages" / "failure.json") && fs::exists(result / "stages" / "cameras.json");
-        views = failed ? failed_views(result, options.images, progress) : result_views(result, options.images, progress);
+        // Masks are the last run's; so are its cameras, where it had got as far as that.
+        views = fs::exists(result / "stages" / "cameras.json") ? last_views(result, options.images, progress) : result_views(result, options.images, progress);
         names = mask_names(views);
     } catch (const InputError& e) {
         progress.note(std::string("without cameras: ") + e.what());  // masks alone are a scene, too

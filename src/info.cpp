@@ -89,6 +89,7 @@ std::string info_json(const fs::path& file, Progress& progress) {
         for (const char* name : {"volume", "hull"})
             if (fs::exists(file / (std::string(name) + ".vdb"))) out[name] = vdb_info(file / (std::string(name) + ".vdb"));
         if (fs::exists(file / "mesh.ply")) out["mesh"] = mesh_info(file / "mesh.ply");
+        if (out.size() > 1 && fs::exists(file / "cameras.json")) out["cameras"] = scene_info(file, fs::absolute(file / "cameras.json"), progress);
         if (out.size() == 1) out["scene"] = scene_info(file, {}, progress);
     } else if (ext == ".vdb" || ext == ".nvdb") {
         out["volume"] = vdb_info(file);

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Files of pictures; what needs no codec is in image_geometry.cpp and skeleton.cpp, so that programs that read none do without them.
+#include <algorithm>
+#include <cctype>
 #include <fstream>
 #include <iterator>
 
@@ -12,6 +14,14 @@
 #include "vdbcarve/error.h"
 
 namespace vdbcarve::io {
+
+const std::vector<std::string> kPictureExtensions{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp", ".heic", ".heif", ".avif"};
+
+bool is_picture(const std::filesystem::path& file) {
+    std::string extension = file.extension().string();
+    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    return std::find(kPictureExtensions.begin(), kPictureExtensions.end(), extension) != kPictureExtensions.end();
+}
 
 namespace {
 

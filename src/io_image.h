@@ -12,6 +12,11 @@
 
 namespace vdbcarve::io {
 
+/// Of pictures that are read, in lower case.
+extern const std::vector<std::string> kPictureExtensions;
+/// By its name.
+bool is_picture(const std::filesystem::path& file);
+
 /// 8-bit pixels as stored, with 1 (grey), 3 (RGB) or 4 (RGBA) channels; 16-bit files are rounded to 8 bits in a way
 /// that keeps every pixel on its side of 1/2. For masks: neither EXIF orientation nor a colour profile is heeded. Throws InputError
 /// naming the file.

@@ -185,7 +185,7 @@ class Job {
         failure["failure"] = {{"stage", stage_name_}, {"text", e.what()}, {"exit_code", static_cast<int>(e.code())}};
         failure["version"] = kVersion;
         failure["warnings"] = warnings_since(warnings_at_start_);
-        failure["scene"] = scene_json();
+        failure["scene"] = scene_json();  // for whoever reads it elsewhere
         try {
             write_file(failure_file(), failure.dump(1) + "\n");
             if (!o_.config_text.empty()) write_file(store_.folder() / "failure.toml", o_.config_text);
@@ -303,10 +303,11 @@ class Job {
         for (const char* folder : {"", "stages", "masks", "overlays", kUnverified}) remove_left_overs(o_.output / folder);
         for (const char* part : {".frames.part", ".masks.part", ".repaired.part"}) fs::remove_all(store_.folder() / part);
         fs::remove(store_.folder() / "cameras.json");
-        write_file(o_.output / kMarker, json{{"made_by", "vdbcarve"}}.dump() + "\n");
+        mark_as_ours();
         // A finished result keeps its configuration until the new one is finished too.
         if (!fs::exists(o_.output / "report.json")) write_config();
     }
+    void mark_as_ours() const { write_file(o_.output / kMarker, json{{"made_by", "vdbcarve"}, {"scene", scene_json()}}.dump() + "\n"); }
     void write_config() {
         if (!o_.config_text.empty()) write_file(place_ / "config.toml", config());
     }
@@ -366,6 +367,7 @@ class Job {
         report_["video"] = json::parse(video_json(film_));
         report_["video"]["file"] = file.string();
         o_.views.scene = folder;
+        mark_as_ours();
         return reused;
     }
 
@@ -974,11 +976,24 @@ class Job {
         for (const auto& [name, camera] : before)
             if (!same.count(name)) gone.push_back(name);
         if (moved.empty() && !same.empty()) {
-            if (!gone.empty()) progress_.warn("the result in " + o_.output.string() + " was made of " + counted(gone.size(), "view") + " more, which " + (gone.size() == 1 ? "is" : "are") + " not here: " + some_of(gone) + ". Remedy: --add the scene that they are from, too");
+            if (const std::vector<std::string> scenes = scenes_left_away(report); !gone.empty() && !scenes.empty())
+                throw UsageError("--add: " + o_.output.string() + " was made of " + some_of(scenes) + ", too, whose views (" + some_of(gone) + ") it would lose. Remedy: --add " + scenes.front() + " besides, or another -o");
+            if (!gone.empty()) progress_.warn("the result in " + o_.output.string() + " was made of " + counted(gone.size(), "view") + " more, which " + (gone.size() == 1 ? "is" : "are") + " not here any more: " + some_of(gone));
             return kept;
         }
-        progress_.note("the bounds are found anew: the cameras of " + o_.output.string() + " are others" + (moved.empty() ? "" : " (" + some_of(moved) + ")"));
+        progress_.warn("the result in " + o_.output.string() + " is replaced, not extended, and its bounds are found anew: its cameras are others" + (moved.empty() ? "" : " (" + some_of(moved) + ")"));
         return std::nullopt;
+    }
+
+    /// Scenes that the result was made of and this run is not.
+    std::vector<std::string> scenes_left_away(const json& report) const {
+        std::set<fs::path> here{fs::weakly_canonical(o_.views.scene)};
+        for (const fs::path& scene : o_.views.added) here.insert(fs::weakly_canonical(scene));
+        std::vector<std::string> out;
+        const json scene = report.value("scene", json::object());
+        for (const auto& folder : scene.value("added", std::vector<std::string>()))
+            if (!here.count(fs::weakly_canonical(folder))) out.push_back(folder);
+        return out;
     }
 
     void plan_key() {
@@ -2213,6 +2228,7 @@ class Job {
         report_["peak_rss_bytes"] = peak_bytes_;
         report_["backend"] = backend_used_;
         report_["warnings"] = warnings_since(warnings_at_start_);
+        if (!contradiction_.empty()) report_["contradiction"] = contradiction_;
         report_["scene"] = scene_json();
         report_["cameras"] = {{"file", views_.camera_file.string()}, {"format", views_.format}, {"up", views_.up}, {"units", views_.units}};
         Reconstruction out;
@@ -2365,8 +2381,8 @@ Views result_views(const fs::path& output, const fs::path& images, Progress& pro
     return views_of(output, parse_or_empty(output / "report.json"), output / "cameras.json", images, progress);
 }
 
-Views failed_views(const fs::path& output, const fs::path& images, Progress& progress) {
-    return views_of(output, parse_or_empty(output / "stages" / "failure.json"), output / "stages" / "cameras.json", images, progress);
+Views last_views(const fs::path& output, const fs::path& images, Progress& progress) {
+    return views_of(output, parse_or_empty(output / kMarker), output / "stages" / "cameras.json", images, progress);
 }
 
 FileFrame frame_from_scene(const fs::path& output, const std::string& file) {

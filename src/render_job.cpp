@@ -9,6 +9,7 @@
 #include "atomic_file.h"
 #include "io_image.h"
 #include "text.h"
+#include "view_called.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
@@ -112,15 +113,7 @@ class RenderRun {
         return views_;
     }
 
-    const View& view_called_by_user() {
-        const auto& all = views().views;
-        std::string known;
-        for (const View& v : all) {
-            if (v.name == job_.view || fs::path(v.name).filename() == job_.view || fs::path(v.name).stem() == job_.view) return v;
-            if (known.size() < 200) known += (known.empty() ? "" : ", ") + v.name;
-        }
-        throw UsageError("--view " + job_.view + ": there is no such view; there are " + known);
-    }
+    const View& view_called_by_user() { return views().views[view_called(views(), job_.view, "--view")]; }
 
     /// Cameras among the file's coordinates: x_file = scale axes x_scene.
     std::vector<Camera> file_cameras() {

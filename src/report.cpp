@@ -106,6 +106,7 @@ class Page {
         progress_.begin("report", seen_.size() + 2);
         const fs::path whole = fs::absolute(result_).lexically_normal();
         body_ << "<header><h1>" << escaped((whole.has_filename() ? whole : whole.parent_path()).filename().string()) << "</h1><p class=sub>" << escaped(report_["scene"].value("folder", "")) << "</p></header>\n";
+        contradiction();
         summary();
         warnings();
         const size_t model_at = static_cast<size_t>(body_.tellp());
@@ -174,7 +175,7 @@ class Page {
 *{box-sizing:border-box}body{margin:0;background:var(--bg);color:var(--fg);font:15px/1.5 system-ui,sans-serif}main{max-width:1200px;margin:0 auto;padding:16px}
 h1{margin:.2em 0 0;font-size:1.7em;overflow-wrap:anywhere}h2{margin:1.6em 0 .5em;font-size:1.2em}.sub,footer,small{color:var(--dim);overflow-wrap:anywhere}
 .tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:10px;margin-top:14px}.tile{background:var(--card);border-radius:8px;padding:10px 12px}.tile b{display:block;font-size:1.25em}
-.warn{border-left:4px solid var(--fair);background:var(--card);padding:8px 12px;margin:8px 0;border-radius:0 8px 8px 0;overflow-wrap:anywhere}.warn i{display:block;color:var(--dim)}
+.warn{border-left:4px solid var(--fair);background:var(--card);padding:8px 12px;margin:8px 0;border-radius:0 8px 8px 0;overflow-wrap:anywhere}.wrong{border-color:var(--bad)}.warn i{display:block;color:var(--dim)}
 model-viewer,.poster{width:100%;height:min(70vh,640px);background:var(--card);border-radius:8px;display:block}.poster{object-fit:contain}
 .photos{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,270px),1fr));gap:12px}.photos figure{margin:0;background:var(--card);border-radius:8px;overflow:hidden}.photos img{width:100%;display:block}
 figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair{color:var(--fair)}.bad{color:var(--bad)}.unused{color:var(--dim)}
@@ -214,6 +215,11 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         tile("time", text_of("%.1f s", seconds));
         tile("memory", bytes_text(report_.value("peak_rss_bytes", 0.0)));
         body_ << "</div>\n";
+    }
+
+    void contradiction() {
+        const std::string text = report_.value("contradiction", "");
+        if (!text.empty()) body_ << "<div class=\"warn wrong\"><b class=bad>Cameras and masks contradict each other</b><br>" << escaped(text) << "</div>\n";
     }
 
     void warnings() {
@@ -324,7 +330,9 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
                   << (v.used ? text_of("contours within %.1f px (95 %%)", v.p95_px) : "") << "</small></figcaption></figure>\n";
         }
         body_ << "</div>\n";
-        if (shown.size() < seen_.size()) body_ << "<p><small>" << seen_.size() - shown.size() << " more views are in report.json.</small></p>\n";
+        const auto with_camera = static_cast<size_t>(std::count_if(seen_.begin(), seen_.end(), [](const SeenView& v) { return v.view != nullptr; }));
+        if (shown.size() < with_camera) body_ << "<p><small>" << with_camera - shown.size() << " more views are in report.json.</small></p>\n";
+        if (with_camera < seen_.size()) body_ << "<p><small>" << counted(seen_.size() - with_camera, "view") << " of the camera file without a photograph.</small></p>\n";
     }
 
     /// From above and from the side.

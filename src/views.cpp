@@ -17,6 +17,7 @@
 #include "io_json.h"
 #include "statistics.h"
 #include "text.h"
+#include "view_called.h"
 
 namespace vdbcarve {
 
@@ -67,9 +68,6 @@ constexpr Importer kSfm{"OpenMVG or Meshroom", io::understands_sfm, io::read_sfm
 constexpr Importer kRealityCapture{"RealityCapture", io::understands_realitycapture, io::read_realitycapture};
 constexpr Importer kMatlab{"MATLAB", io::understands_matlab, io::read_matlab};
 constexpr const Importer* kImporters[] = {&kTransforms, &kColmap, &kMiddlebury, &kProjections, &kFileStorage, &kMetashape, &kBundler, &kNvm, &kSfm, &kRealityCapture, &kMatlab};
-
-/// Extensions of photographs.
-const std::vector<std::string> kPictures{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp", ".heic", ".heif", ".avif"};
 
 std::string upper_case(std::string text) {
     for (char& c : text) c = static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
@@ -151,7 +149,7 @@ class ImageFinder {
         }
         for (const fs::path& place : places) {
             if (is_there(place)) return place;
-            for (const std::string& ext : kPictures)
+            for (const std::string& ext : io::kPictureExtensions)
                 for (const bool shout : {false, true}) {
                     fs::path with = place;
                     with += shout ? upper_case(ext) : ext;
@@ -193,9 +191,7 @@ std::vector<std::string> photos_in(const fs::path& folder) {
     if (!fs::is_directory(folder)) throw InputError(folder.string() + ": no such folder");
     std::vector<std::string> names;
     for (const auto& entry : fs::directory_iterator(folder)) {
-        std::string ext = entry.path().extension().string();
-        std::transform(ext.begin(), ext.end(), ext.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-        if (entry.is_regular_file() && std::find(kPictures.begin(), kPictures.end(), ext) != kPictures.end()) names.push_back(entry.path().filename().string());
+        if (entry.is_regular_file() && io::is_picture(entry.path())) names.push_back(entry.path().filename().string());
     }
     std::sort(names.begin(), names.end(), natural_less);
     return names;
@@ -268,6 +264,17 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
     return out;
 }
 
+/// Pictures beside the views' photographs that are none of them, nor called like one (a mask).
+std::vector<std::string> without_camera(const std::vector<View>& views, const std::map<fs::path, std::string>& photos) {
+    std::set<fs::path> folders;
+    std::vector<std::string> out;
+    for (const View& v : views) folders.insert(v.image_path.parent_path());
+    for (const fs::path& folder : folders)
+        for (const std::string& name : fs::is_directory(folder) ? photos_in(folder) : std::vector<std::string>())
+            if (!photos.count(folder / name) && std::none_of(views.begin(), views.end(), [&](const View& v) { return is_called_like(name, v.image_path); })) out.push_back((folder / name).string());
+    return out;
+}
+
 Views load_scene(const ViewsOptions& options, Progress& progress) {
     if (!fs::is_directory(options.scene)) {
         if (fs::is_regular_file(options.scene))
@@ -326,7 +333,6 @@ Views load_scene(const ViewsOptions& options, Progress& progress) {
         if (view.image_path.empty() && !(options.cameras_only && sizes_known)) {
             if (options.allow_missing) {
                 out.left_out.push_back(view.name);
-                if (!options.is_whole) progress.warn(where + ": image not found; the view is left out");
                 continue;
             }
             throw InputError(where + ": image not found in " + (options.images.empty() ? options.scene : options.images).string() +
@@ -368,13 +374,15 @@ Views load_scene(const ViewsOptions& options, Progress& progress) {
         if (!fresh && other->second != v.name)
             throw InputError(v.image_path.string() + ": is the image of both " + other->second + " and " + v.name + ". Remedy: keep the camera file's folders");
     }
-    if (out.views.empty()) throw InputError(found.path.string() + ": no view has an image");
+    if (!out.left_out.empty() && !options.is_whole) progress.warn(found.path.string() + ": " + counted(out.left_out.size(), "view") + " left out, image not found: " + some_of(out.left_out));
+    if (out.views.empty()) throw InputError(found.path.string() + (options.is_whole ? ": none of its " + counted(out.left_out.size(), "view") + " has a photograph yet" : ": no view has an image"));
     std::stable_sort(out.views.begin(), out.views.end(),
                      [](const View& a, const View& b) { return natural_less(a.name, b.name); });
     for (size_t i = 1; i < out.views.size(); ++i)
         if (out.views[i].name == out.views[i - 1].name)
             throw InputError(found.path.string() + ": view " + out.views[i].name + " is listed twice");
     check_views(out);
+    if (options.is_whole) out.without_camera = without_camera(out.views, taken);
     if (options.is_whole && !out.left_out.empty()) progress.note(counted(out.left_out.size(), "view") + " of " + found.path.string() + " without a photograph so far");
     return out;
 }
@@ -390,6 +398,7 @@ void add_scene(Views& views, const fs::path& scene, const ViewsOptions& options,
     wanted.added.clear();
     std::error_code not_there;
     if (fs::equivalent(scene, options.scene, not_there)) return;  // its views are here, those that came lately too
+    if (fs::is_regular_file(scene)) throw UsageError("--add " + scene.string() + ": is a file; a folder with photographs and cameras of the same world is needed. Remedy, where it is a film: vdbcarve mask FILM, then its folder in OUT/stages, with cameras");
     wanted.images.clear();
     if (wanted.cameras != "none") wanted.cameras.clear();
     Views other = load_scene(wanted, progress);

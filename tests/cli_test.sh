@@ -280,7 +280,7 @@ expect 0 '64 x 64' render out/mesh.ply -o mesh.png --size 64x64
 expect 0 'each, 6 of them' render out -o turn.mp4 --frames 6 --size 64x64 --samples 1
 check 'a film is written' test -s turn.mp4
 expect 2 'must be even' render out -o odd.mp4 --size 65x64
-expect 2 'there is no such view' render out -o view.png --view 99
+expect 2 'no view is called 99' render out -o view.png --view 99
 expect 0 'report.html: [0-9.]+ MB' report out
 check 'the page is there' grep -q 'worst first' out/report.html
 expect 3 'report.json: is not there' report scene

@@ -605,6 +605,10 @@ TEST(Pipeline, AResultThatMostViewsContradictIsNotDone) {
     EXPECT_LT(job.last.median_iou, 0.9);
     EXPECT_NE(job.last.contradiction.find("vdbcarve check"), std::string::npos);
     EXPECT_TRUE(fs::exists(job.folder / "out/mesh.ply"));
+    // Whoever has the files only is told, too.
+    EXPECT_EQ(json::parse(job.last.report_json)["contradiction"], job.last.contradiction);
+    Progress quiet;
+    EXPECT_NE(report_html(job.folder / "out", {}, quiet).find("contradict each other</b>"), std::string::npos);
 }
 
 TEST(Pipeline, AFloorThatTakesALegOffIsSaid) {
@@ -762,9 +766,9 @@ TEST(Pipeline, AddingSaysWhatItCannotKeep) {
     for (json& f : cameras["frames"]) f["transform_matrix"][0][3] = f["transform_matrix"][0][3].get<double>() + 0.01;
     write_text(a.folder / "scene/transforms.json", cameras.dump());
     std::string said;
-    quiet.on_note = [&](const std::string& text) { said += text + "\n"; };
+    quiet.on_warning = [&](const std::string& text) { said += text + "\n"; };
     reconstruct(o, quiet);
-    EXPECT_NE(said.find("the cameras of"), std::string::npos) << said;
+    EXPECT_NE(said.find("its cameras are others"), std::string::npos) << said;
 }
 
 // A second folder of photographs in the same world: its masks are looked for in it, its views are taken too.
@@ -802,6 +806,8 @@ TEST(Pipeline, ASecondSceneIsAdded) {
     Progress quiet;
     const Views found = result_views(a.folder / "out", {}, quiet);
     for (const View& v : found.views) EXPECT_FALSE(v.image_path.empty()) << v.name;
+    o.views.added = {a.folder / "first"};
+    EXPECT_THROW(reconstruct(o, quiet), UsageError);  // the second's views would be lost
     o.views.added = {a.folder / "clash"};
     EXPECT_THROW(reconstruct(o, quiet), InputError);  // two photographs called alike
     fs::remove(a.folder / "second/transforms.json");
@@ -852,6 +858,46 @@ TEST(Watch, PhotographsBecomeAResultWhileTheyArrive) {
     a.run(a.batch(report));
     EXPECT_EQ(a.hull(a.folder / "batch"), a.hull(a.folder / "out"));
     EXPECT_EQ(a.bytes("batch/mesh.ply"), a.bytes("out/mesh.ply"));
+}
+
+// Masks made from the photographs themselves: one that was written badly is named and left out, and holds nobody up.
+TEST(Watch, ADamagedPhotographHoldsUpNobody) {
+    Arrivals a;
+    fs::remove_all(a.folder / "scene/masks");
+    const auto arrive = [&](size_t n) { fs::copy_file(a.folder / ("all/images/" + a.names[n]), a.folder / ("scene/images/" + a.names[n]), fs::copy_options::overwrite_existing); };
+    for (const size_t n : {0, 2, 4, 6}) arrive(n);
+    const std::string whole = a.bytes("all/images/" + a.names[1]);
+    write_text(a.folder / ("scene/images/" + a.names[1]), whole.substr(0, whole.size() / 2));
+    arrive(8);
+    write_text(a.folder / "scene/images/stranger.png", whole);
+    WatchOptions w;
+    w.reconstruct = a.options;
+    w.reconstruct.mask.method = MaskMethod::Threshold;
+    w.settle_s = 0.1;
+    w.poll_s = 0.05;
+    w.idle_s = 0.5;
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    size_t views = 0;
+    w.on_result = [&](const Reconstruction& r) { views = r.views; };
+    Progress progress;
+    try {
+        watch(w, progress);
+        FAIL() << "a photograph is missing from the result";
+    } catch (const InputError& e) {
+        EXPECT_NE(std::string(e.what()).find(a.names[1]), std::string::npos) << e.what();
+    }
+    EXPECT_EQ(views, 5u);
+    std::string said;
+    for (const std::string& warning : progress.warnings()) said += warning + "\n";
+    EXPECT_NE(said.find(a.names[1]), std::string::npos) << said;
+    EXPECT_NE(said.find("stranger.png"), std::string::npos) << said;
+    arrive(1);
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    w.until_views = 7;
+    EXPECT_THROW(watch(w, progress), InputError);  // 6 have come
+    EXPECT_EQ(views, 6u);
+    w.until_views = 6;
+    EXPECT_EQ(watch(w, progress).views, 6u);
 }
 
 TEST(Watch, EndsWhenNothingComesAndSaysWhatWasWrong) {
@@ -1056,6 +1102,32 @@ TEST(Bundle, OfALaterRunThatFailedHasItsScene) {
     ASSERT_EQ(std::system(("tar xzf '" + (a.folder / "b.tar.gz").string() + "' -C '" + a.folder.path().string() + "'").c_str()), 0);
     const json cameras = json::parse(read_text(a.folder / "vdbcarve-bundle/scene/cameras.json"));
     EXPECT_EQ(cameras["frames"].size(), 8u);
+}
+
+// Killed before it was done, with cameras that were found and are not to be trusted from before: both are in it.
+TEST(Bundle, OfARunThatWasKilledHasItsCameras) {
+    Job job("cup");
+    job.run();
+    for (const char* late : {"report.json", "cameras.json", "config.toml"}) fs::remove(job.folder / "out" / late);
+    fs::create_directories(job.folder / "out/unverified");
+    write_text(job.folder / "out/unverified/report.json", "{}");
+    write_text(job.folder / "out/unverified/preview.png", "shows photographs");
+    Progress quiet;
+    EXPECT_THROW(bundle(job.folder / "out", job.folder / "b.zip", {}, quiet), UsageError);
+    EXPECT_THROW(bundle(job.folder / "nowhere", job.folder / "b.tar.gz", {}, quiet), InputError);
+    BundleOptions o;
+    o.photos = true;
+    for (const bool photos : {false, true}) {
+        o.photos = photos;
+        fs::remove_all(job.folder / "vdbcarve-bundle");
+        bundle(job.folder / "out", job.folder / "b.tar.gz", o, quiet);
+        ASSERT_EQ(std::system(("tar xzf '" + (job.folder / "b.tar.gz").string() + "' -C '" + job.folder.path().string() + "'").c_str()), 0);
+        const fs::path root = job.folder / "vdbcarve-bundle";
+        EXPECT_TRUE(fs::exists(root / "scene/cameras.json"));
+        EXPECT_TRUE(fs::exists(root / "unverified/report.json"));
+        EXPECT_EQ(fs::exists(root / "unverified/preview.png"), photos);
+        EXPECT_EQ(fs::exists(root / "scene/images"), photos);  // from where the run took them
+    }
 }
 
 // Of a run that failed: what it failed with, and the scene that it failed on.

@@ -22,11 +22,18 @@ struct Common {
     bool report_said = false;  ///< the report, which is the last event, was written; set by commands
 };
 
+/// What a command puts on stdout with --json.
+enum class Says {
+    Events,    ///< how far it is, one event a line; the last is the report, or "done"
+    Document,  ///< one, which the command writes
+    Nothing    ///< another run of the program, which it starts, says it
+};
+
 /// A command adds itself to the program; `run` is called after parsing and returns the exit code.
 struct Command {
     CLI::App* app;
     std::function<int(Common&, Progress&)> run;
-    bool streams = false;  ///< with --json it tells how far it is, one event a line
+    Says says = Says::Events;
 };
 
 Command add_reconstruct(CLI::App& program);
@@ -75,6 +82,17 @@ inline CLI::Validator above_zero() {
         },
         "> 0");
 }
+inline CLI::Validator zero_or_more() {
+    return CLI::Validator(
+        [](std::string& text) {
+            double value = 0;
+            return CLI::detail::lexical_cast(text, value) && value >= 0 && std::isfinite(value) ? std::string() : text + " is no number of 0 or more";
+        },
+        ">= 0");
+}
+
+/// At the end of every page about a command.
+inline constexpr const char* kExitCodes = "0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted";
 
 /// One of a few words, in whatever case. Throws UsageError naming all of them.
 template <class T>

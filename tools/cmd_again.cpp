@@ -15,7 +15,7 @@ Command add_again(CLI::App& program, const char* name, const char* what, const c
     app->add_option("out", *folder, "a result's folder; run from where it was made, as its config.toml names the scene from there")->required();
     app->fallthrough(false);  // what is not known here is for reconstruct, not for the program
     app->prefix_command();
-    app->footer(std::string("Takes any option of reconstruct, in the place of what the result was made with: vdbcarve ") + name + " OUT " + example + "\nWhat they do not change is found done.");
+    app->footer(std::string("Takes any option of reconstruct, in the place of what the result was made with; what they do not change is found done.\nExamples:\n  vdbcarve ") + name + " out " + example);
     return {app, [folder, app](Common& common, Progress&) {
                 if (app->get_parent()->get_config_ptr()->count() > 0) throw UsageError("--config: a result's own config.toml is what counts here. Remedy: `vdbcarve --config FILE reconstruct`");
                 const std::filesystem::path config = std::filesystem::path(*folder) / "config.toml";
@@ -32,7 +32,7 @@ Command add_again(CLI::App& program, const char* name, const char* what, const c
                 words.insert(words.end(), {"-o", *folder});
                 for (const std::string& word : app->remaining()) words.push_back(word);
                 return run_program(words);
-            }};
+            }, Says::Nothing};
 }
 
 }  // namespace vdbcarve::cli

@@ -34,6 +34,10 @@ Command add_bench(CLI::App& program) {
     auto raw = std::make_shared<Raw>();
     CLI::App* app = program.add_subcommand("bench", "how fast this machine carves, against the paper's dense method");
     app->fallthrough();
+    app->footer("Examples:\n"
+                "  vdbcarve bench                                                           several grids and numbers of views, GPU too where there is one\n"
+                "  vdbcarve bench shoot --grid 512x512x512 --svg bench.svg                  on photographs of your own\n"
+                "  vdbcarve bench --paper                                                   the paper's table and figure");
     app->add_option("scene", raw->scene, "scene with masks to carve (default: 31 spheres, 1024 x 768)");
     app->add_option("--bounds", raw->bounds, "xmin,ymin,zmin,xmax,ymax,zmax of the scene (default: found from the silhouettes)");
     app->add_option("--grid", raw->grids, "grids, like 512x256x512,1024x512x1024")->delimiter(',');
@@ -48,7 +52,7 @@ Command add_bench(CLI::App& program) {
     app->add_flag("--no-cpu", raw->no_cpu, "time the GPU only");
     raw->options.backend = Backend::Auto;
     add_choice<Backend>(*app, "--backend", raw->options.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}}, "auto (also the GPU where there is one), cpu or cuda");
-    app->add_option("--device", raw->options.device, "number of the CUDA device")->capture_default_str()->check(CLI::NonNegativeNumber);
+    app->add_option("--device", raw->options.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more());
     app->add_option("--svg", raw->svg, "also pictures: FILE.svg, seconds over voxels, and FILE_views.svg, over views");
     return {app, [raw, views](Common& common, Progress& progress) {
                 BenchOptions& o = raw->options;
@@ -84,7 +88,7 @@ Command add_bench(CLI::App& program) {
                 if (common.json == "-") std::cout << bench_json(result);
                 else std::cout << (raw->paper ? bench_paper_table(result) + "\n" : std::string()) << bench_table(result);
                 return 0;
-            }};
+            }, Says::Document};
 }
 
 }  // namespace vdbcarve::cli

@@ -47,7 +47,7 @@ Command add_check(CLI::App& program) {
                     }
                 }
                 return static_cast<int>(result.exit_code);
-            }};
+            }, Says::Document};
 }
 
 }  // namespace vdbcarve::cli

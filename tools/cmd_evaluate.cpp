@@ -121,8 +121,12 @@ Command add_evaluate(CLI::App& program) {
     app->add_option("--cameras", raw->cameras, "cameras that belong to the mesh (--align cameras), or of the photographs (--photos)");
     app->add_option("--truth-cameras", raw->truth_cameras, "the same cameras in the truth's frame");
     app->add_option("--points", raw->points, "text file, six numbers a line: a point of the mesh, the same of the truth (--align points)");
-    app->add_option("--threshold", raw->options.threshold, "distance for completeness and F-score (0: 1 % of the truth's largest side)")->check(CLI::NonNegativeNumber);
+    app->add_option("--threshold", raw->options.threshold, "distance for completeness and F-score (0: 1 % of the truth's largest side)")->check(zero_or_more());
     app->add_option("--samples", raw->options.samples, "points on each surface")->capture_default_str()->check(CLI::Range(100, 100000000));
+    app->footer("Examples:\n"
+                "  vdbcarve evaluate out --truth shoot/truth.ply                            distances, volume, F-score\n"
+                "  vdbcarve evaluate out --truth scan.stl --align cameras --truth-cameras true.json   a scan in a frame of its own\n"
+                "  vdbcarve evaluate out --photos shoot --save pairs                        how like its photographs it is");
     return {app, [raw](Common& common, Progress& progress) {
                 if (raw->truth.empty() && raw->photos.empty()) throw UsageError("evaluate: give --truth, --photos or both");
                 const fs::path result = fs::is_directory(raw->mesh) ? raw->mesh : fs::path();
@@ -162,7 +166,7 @@ Command add_evaluate(CLI::App& program) {
                 std::printf("normals off by %.2f degrees on average, median %.2f\n", e.normal_error_mean_deg, e.normal_error_median_deg);
                 print_photos(photos, !result.empty(), common.verbose);
                 return 0;
-            }};
+            }, Says::Document};
 }
 
 }  // namespace vdbcarve::cli

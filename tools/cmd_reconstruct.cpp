@@ -281,8 +281,8 @@ void say_result(const Reconstruction& result, const ReconstructOptions& options,
 void add_watch_options(CLI::App& app, WatchOptions& w) {
     app.add_option("--first-views", w.first_views, "so many must be here before bounds and voxels are fixed (--bounds, --voxel-size fix them by hand)")->capture_default_str()->check(CLI::Range(1, 65535))->group("Watch");
     app.add_option("--until", w.until_views, "end when the result is of so many views (0: go on)")->capture_default_str()->group("Watch");
-    app.add_option("--idle", w.idle_s, "end when nothing has changed for so many seconds (0: go on until Ctrl-C)")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Watch");
-    app.add_option("--settle", w.settle_s, "a file that did not change for so many seconds is whole")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Watch");
+    app.add_option("--idle", w.idle_s, "end when nothing has changed for so many seconds (0: go on until Ctrl-C)")->capture_default_str()->check(zero_or_more())->group("Watch");
+    app.add_option("--settle", w.settle_s, "a file that did not change for so many seconds is whole")->capture_default_str()->check(zero_or_more())->group("Watch");
 }
 
 Command add(CLI::App& program, const char* name, const char* what, LastStage last, const char* example, bool live = false) {
@@ -302,8 +302,8 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     app->footer(example);
     if (last == LastStage::Align) o.align_again = true;
     if (last == LastStage::Carve || last == LastStage::Export) {
-        app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(CLI::PositiveNumber)->group("Grid");
-        app->add_option("--voxel-size", o.voxel_size, "edge of a voxel, scene units")->check(CLI::PositiveNumber)->group("Grid");
+        app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")->check(above_zero())->group("Grid");
+        app->add_option("--voxel-size", o.voxel_size, "edge of a voxel, scene units")->check(above_zero())->group("Grid");
         app->add_option("--grid", raw->grid, "voxels along x, y and z, like 1024x512x1024")->group("Grid");
         app->add_option("--bounds", raw->bounds, "xmin,ymin,zmin,xmax,ymax,zmax: clip to this box (default: found from the silhouettes)")->group("Grid");
         app->add_option("--origin", raw->origin, "x,y,z of the voxel lattice's corner (default 0,0,0)")->group("Grid");
@@ -319,11 +319,11 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         }, "pixels a side of a distance field's sample: auto (at least 2.5 samples to a voxel) or 1, 2, 4 …")->default_str("auto")->group("Carving");
         app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
         add_choice<Backend>(*app, "--backend", o.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}}, "auto (a GPU where there is one), cpu or cuda; the result is the same")->group("Carving");
-        app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Carving");
+        app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more())->group("Carving");
         app->add_option_function<std::string>("--memory-limit", [raw](const std::string& text) { raw->options.memory_limit = bytes_of("--memory-limit", text); },
                                               "resident memory that may be used, like 8G or 500M (default: nine tenths of the machine's)");
         if (!live) app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
-        if (!live) app->add_option("--add", o.views.added, "SCENE2: its views are taken too, of the same world; where OUT holds a result already, its bounds and voxels are kept and its hull is extended. The scene itself: photographs that came into it")->group("Scene");
+        app->add_option("--add", o.views.added, live ? "SCENE2: its views are taken too, of the same world; once for each scene" : "SCENE2: its views are taken too, of the same world; where OUT holds a result already, its bounds and voxels are kept and its hull is extended. Once for each scene that the result is to be of. The scene itself: photographs that came into it")->allow_extra_args(false)->type_name("SCENE2")->group("Scene");
     }
     if (live) add_watch_options(*app, raw->watch);
     if (last == LastStage::Export) {
@@ -349,9 +349,9 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
             if (text != "auto") raw->options.filters = parse_filters(text);
         }, "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: none for soft masks, edge-preserving:2 for hard ones, :2x4 for --occupancy")->default_str("auto")->group("Filter");
         app->add_flag_function("--no-volume-repair", [raw](int64_t count) { raw->options.repair_volume = count <= 0; }, "leave the volume as the filter leaves it")->group("Filter");
-        app->add_option("--keep-thin", o.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")->capture_default_str()->check(CLI::NonNegativeNumber)->group("Filter");
+        app->add_option("--keep-thin", o.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")->capture_default_str()->check(zero_or_more())->group("Filter");
         add_choice<bool>(*app, "--base", o.flat_base, {{"hull", false}, {"flat", true}}, "the foot: hull (default; bulges where only slanted views bound it) or flat, cut where the lowest contour was seen (needs an up axis)")->group("Result");
-        app->add_option("--cap-tolerance", o.cap_tolerance, "surface farther beyond the highest and lowest contours seen counts as extrapolated, scene units (default: 2 voxels)")->check(CLI::NonNegativeNumber)->group("Result");
+        app->add_option("--cap-tolerance", o.cap_tolerance, "surface farther beyond the highest and lowest contours seen counts as extrapolated, scene units (default: 2 voxels)")->check(zero_or_more())->group("Result");
         app->add_flag("--quads", o.quads, "keep quads in .ply and .obj (--mesher dual)")->group("Mesh");
         app->add_option("--min-piece", o.min_piece_share, "pieces with less of the mesh's volume are left out, as a share")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
         app->add_option_function<std::string>("--smooth", [raw](const std::string& text) {
@@ -360,9 +360,9 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         }, "iterations of Taubin's smoothing; auto: 0, or 10 with --occupancy --filter none")->default_str("auto")->group("Mesh");
         app->add_option("--smooth-lambda", o.smooth.lambda, "its shrinking factor")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
         app->add_option("--smooth-mu", o.smooth.mu, "its growing factor, less than the other's negative")->capture_default_str()->check(CLI::Range(-2.0, 0.0))->group("Mesh");
-        app->add_option("--smooth-pass-band", raw->pass_band, "the same by the frequency that passes, 1/lambda + 1/mu (0.1; 0: by --smooth-mu)")->check(CLI::NonNegativeNumber)->group("Mesh");
+        app->add_option("--smooth-pass-band", raw->pass_band, "the same by the frequency that passes, 1/lambda + 1/mu (0.1; 0: by --smooth-mu)")->check(zero_or_more())->group("Mesh");
         app->add_option("--faces", o.faces, "decimate to so many faces (0: no)")->check(CLI::Range(0, 2000000000))->group("Mesh");
-        app->add_option("--max-error", o.max_error, "decimate as far as no point moves by more, scene units (0: no)")->check(CLI::NonNegativeNumber)->group("Mesh");
+        app->add_option("--max-error", o.max_error, "decimate as far as no point moves by more, scene units (0: no)")->check(zero_or_more())->group("Mesh");
         add_dcc_option(*app, o.dcc);
         app->add_flag("--vdb-half", o.vdb_half, "16-bit floats in volume.vdb: two thirds of the size, three digits")->group("Result");
         app->add_flag("--stl-mm", o.stl_mm, "mesh.stl in millimetres, for printers (needs --units, or a scene that says them)")->group("Result");
@@ -378,7 +378,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                 throw UsageError("--floor " + text + ": must be auto or a height, a number along the up axis");
             }
         }, "height of the table, along up: nothing of the object is lower (reflections are cut off); auto: found in the photographs by the table's pattern, else the lowest contour (default: the camera file's, of a mat)")->type_name("auto|HEIGHT")->group("Result");
-        if (last == LastStage::Export) app->add_option("--floor-clear", o.floor_clear, "what a flat patch on the floor makes in the hull is no part of the object (contact shadows); so much higher is allowed for, scene units (default: 1 % of the height with --floor; 0: nothing is cleared)")->check(CLI::NonNegativeNumber)->group("Result");
+        if (last == LastStage::Export) app->add_option("--floor-clear", o.floor_clear, "what a flat patch on the floor makes in the hull is no part of the object (contact shadows); so much higher is allowed for, scene units (default: 1 % of the height with --floor; 0: nothing is cleared)")->check(zero_or_more())->group("Result");
     }
     app->add_option("--up", o.views.up, "world up axis: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group("Result");
     app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, km, inch, ft")->group("Result");
@@ -394,9 +394,11 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                     std::istringstream lines(config_of(program, app->get_name(), "reconstruct"));
                     for (std::string line; std::getline(lines, line);) {
                         const std::string option = line.substr(0, line.find('='));
-                        if (option != "reconstruct.first-views" && option != "reconstruct.until" && option != "reconstruct.idle" && option != "reconstruct.settle") options.config_text += line + "\n";
+                        if (option != "reconstruct.first-views" && option != "reconstruct.until" && option != "reconstruct.idle" && option != "reconstruct.settle" && option != "reconstruct.add") options.config_text += line + "\n";
                     }
-                    options.config_text += "reconstruct.add=[\"" + options.views.scene.string() + "\"]\n";
+                    std::string added = "\"" + options.views.scene.string() + "\"";
+                    for (const auto& scene : options.views.added) added += ", \"" + scene.string() + "\"";
+                    options.config_text += "reconstruct.add=[" + added + "]\n";
                     if (!options.mask.allow_missing) options.config_text += "reconstruct.allow-missing=true\n";
                     raw->watch.reconstruct = options;
                     raw->watch.on_result = [&](const Reconstruction& result) {
@@ -413,7 +415,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                 common.report_said = true;
                 if (!result.contradiction.empty() && !options.dry_run) throw ContradictionError(result.contradiction);
                 return 0;
-            }, true};
+            }};
 }
 
 }  // namespace
@@ -434,7 +436,7 @@ Command add_watch(CLI::App& program) {
                "  vdbcarve watch shoot --mask chroma --bounds -100,-100,0,100,100,200 --voxel-size 0.5 -o out   bounds that are known\n"
                "  vdbcarve watch shoot --until 36 -o out                                   ends with the 36th view\n"
                "Masks and the hull are extended by what is new, later stages follow; out/report.html and out/preview.png are of what is there.\n"
-               "Takes all options of reconstruct. Cameras that are to be found are found anew from all photographs each time.", true);
+               "Takes what reconstruct takes, but for films and --dry-run. Cameras that are to be found are found anew from all photographs each time.", true);
 }
 Command add_align(CLI::App& program) {
     return add(program, "align", "cameras from silhouettes, texture or a marker mat, into OUT/cameras.json", LastStage::Align,
@@ -453,6 +455,6 @@ Command add_mask(CLI::App& program) { return add(program, "mask", "only the mask
                                            "  vdbcarve mask toy --mask grabcut --grabcut-box 200,50,900,700 -o masks               anything else that differs in colour\n"
                                            "  vdbcarve mask toy --mask-command 'rembg i {in} {out}' -o masks                       another program's, here one that has learnt what objects are\n"
                                            "OUT/overlays shows what each mask leaves out (red). A mask in OUT/masks that you mend is used from then on."); }
-Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve, "Example: vdbcarve carve shoot --resolution 512 -o hull"); }
+Command add_carve(CLI::App& program) { return add(program, "carve", "up to the raw hull, into OUT/hull.vdb", LastStage::Carve, "Examples:\n  vdbcarve carve shoot --resolution 512 -o hull"); }
 
 }  // namespace vdbcarve::cli

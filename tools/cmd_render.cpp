@@ -46,7 +46,7 @@ Command add_render(CLI::App& program) {
        }, "white (default), black, none (transparent), R,G,B or #rrggbb")->type_name("COLOUR")->group(how);
     app->add_option("--iso", o.options.iso, "the surface this far outside (inside where negative), scene units, within the band")->capture_default_str()->group(how);
     add_choice<Backend>(*app, "--backend", o.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}}, "auto (a GPU where there is one), cpu or cuda; the picture is the same")->group(how);
-    app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(CLI::NonNegativeNumber)->group(how);
+    app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more())->group(how);
     const char* several = "Several";
     app->add_option("--sheet", o.sheet, "so many input views beside their photographs, on one sheet")->check(CLI::Range(1, 1000))->group(several);
     app->add_option("--frames", o.frames, "of a film, one turn")->capture_default_str()->group(several);

@@ -152,6 +152,10 @@ Command add_synth(CLI::App& program) {
     app->add_option("--mask-share", raw->mask_share, "share of the views with holes and blobs (1)")->check(CLI::Range(0.0, 1.0))->group("Bad masks");
     app->add_flag("--masks-only", raw->masks_only, "no photographs");
     app->add_flag("--force", raw->force, "write into a folder that is not empty");
+    app->footer("Examples:\n"
+                "  vdbcarve synth cup -o shoot                                              36 views around\n"
+                "  vdbcarve synth statue.ply --rig dome --views 72 -o shoot                 a mesh of your own\n"
+                "  vdbcarve synth cup --masks-only --mask-holes 2 --mask-share 0.1 -o shoot   masks with mistakes");
     return {app, [raw](Common&, Progress& progress) {
                 const SyntheticSpec spec = spec_of(*raw);
                 if (!raw->force && std::filesystem::is_directory(raw->output) && !std::filesystem::is_empty(raw->output))

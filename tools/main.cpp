@@ -135,13 +135,43 @@ std::string nearest_option(const CLI::App& command, const std::string& word) {
     return best;
 }
 
+void write_event(const nlohmann::ordered_json& what) { std::cout << what.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) << std::endl; }
+
+/// The last word of a run that failed, on stderr and, with --json, on stdout. Returns the exit code.
+int refuse(bool json, ExitCode code, const std::string& text) {
+    if (json) write_event({{"event", "error"}, {"exit_code", static_cast<int>(code)}, {"text", text}});
+    spdlog::error("{}", text);
+    return static_cast<int>(code);
+}
+
+/// Where the options themselves are wrong, nobody else knows.
+bool wants_json(const std::vector<std::string>& words) {
+    for (size_t i = 0; i < words.size(); ++i)
+        if (words[i] == "--json=-" || (words[i] == "--json" && i + 1 < words.size() && words[i + 1] == "-")) return true;
+    return false;
+}
+
 }  // namespace
 
 int run_program(const std::vector<std::string>& words) {
-    CLI::App program{"vdbcarve: photos around an object become a sparse volume (.vdb) and a closed mesh"};
+    CLI::App program{"vdbcarve: photos around an object become a sparse volume (.vdb) and a closed mesh", "vdbcarve"};
     program.set_version_flag("--version", std::string("vdbcarve ") + kVersion);
     program.require_subcommand(1);
     program.fallthrough();
+    cli::Common common;
+    program.add_flag("--quiet", common.quiet, "only warnings and errors");
+    program.add_flag("--verbose", common.verbose, "more of what is going on");
+    program.add_option("--threads", common.threads, "threads to use (0: all)")->check(cli::zero_or_more());
+    program.add_option("--json", common.json, "'-': JSON on stdout, one event a line, the report last")->check(CLI::IsMember({"-"}));
+    program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
+
+    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_watch(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
+                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_report(program), cli::add_bundle(program), cli::add_bench(program), cli::add_board(program),
+                                       cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
+                                       cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
+                                       cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
+                                       cli::add_again(program, "smooth", "smooth or decimate a result's mesh anew: OUT and options of reconstruct", "--smooth 10 --faces 50000")};
+    // After the commands, which would take it for theirs.
     program.footer(
         "Examples:\n"
         "  vdbcarve synth cup -o shoot                       make a synthetic shoot: photos, masks, cameras, truth\n"
@@ -162,20 +192,7 @@ int run_program(const std::vector<std::string>& words) {
         "  vdbcarve bundle out                               what somebody needs to see why it failed, in one file\n"
         "  vdbcarve bench                                    how fast this machine carves"
         "\n"
-        "Exit codes: 0 done, 2 usage, 3 input, 4 data contradict each other, 5 undetermined, 6 output, 7 backend, 130 interrupted");
-    cli::Common common;
-    program.add_flag("--quiet", common.quiet, "only warnings and errors");
-    program.add_flag("--verbose", common.verbose, "more of what is going on");
-    program.add_option("--threads", common.threads, "threads to use (0: all)")->check(CLI::NonNegativeNumber);
-    program.add_option("--json", common.json, "'-': JSON on stdout, one event a line, the report last")->check(CLI::IsMember({"-"}));
-    program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
-
-    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_watch(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_report(program), cli::add_bundle(program), cli::add_bench(program), cli::add_board(program),
-                                       cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
-                                       cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
-                                       cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
-                                       cli::add_again(program, "smooth", "smooth or decimate a result's mesh anew: OUT and options of reconstruct", "--smooth 10 --faces 50000")};
+        "Exit codes: " + std::string(cli::kExitCodes));
     if (words.size() == 2 && words[0] == "--write-pages") {  // for the build
         try {
             cli::write_pages(program, words[1]);
@@ -185,16 +202,15 @@ int run_program(const std::vector<std::string>& words) {
         }
         return 0;
     }
+    const bool json = wants_json(words);
     try {
         program.parse(std::vector<std::string>(words.rbegin(), words.rend()));  // as CLI11 wants them
     } catch (const Error& e) {  // a value that an option's own reader refused
-        spdlog::error("{}", e.what());
-        return static_cast<int>(e.code());
+        return refuse(json, e.code(), e.what());
     } catch (const CLI::ParseError& e) {
         // CLI11 would only say that a command is missing where an unknown one was given.
         if (e.get_name() == "RequiredError" && !words.empty() && words[0][0] != '-' && program.get_subcommands().empty()) {
-            std::cerr << "vdbcarve: '" << words[0] << "' is no command. Run with --help for the list.\n";
-            return static_cast<int>(ExitCode::Usage);
+            return refuse(json, ExitCode::Usage, "'" + words[0] + "' is no command. Run with --help for the list.");
         }
         if (e.get_exit_code() == static_cast<int>(CLI::ExitCodes::ExtrasError)) {
             const CLI::App* command = program.get_subcommands().empty() ? &program : program.get_subcommands().front();
@@ -205,12 +221,12 @@ int run_program(const std::vector<std::string>& words) {
                     unknown += (unknown.empty() ? "" : "; ") + word + " is no option" + (command == &program ? "" : " of " + command->get_name()) + (near.empty() ? "" : ". Is " + near + " meant?");
                 }
             if (!unknown.empty()) {
-                spdlog::error("{}{} --help lists them", unknown, unknown.back() == '?' ? "" : ".");
-                return static_cast<int>(ExitCode::Usage);
+                return refuse(json, ExitCode::Usage, unknown + (unknown.back() == '?' ? "" : ".") + " --help lists them");
             }
         }
-        const int code = program.exit(e, std::cout, std::cerr);
-        return code == 0 ? 0 : static_cast<int>(ExitCode::Usage);
+        if (e.get_exit_code() != 0) return refuse(json, ExitCode::Usage, e.what() + std::string(". --help lists what there is"));
+        program.exit(e, std::cout, std::cerr);
+        return 0;
     }
     if (common.quiet) spdlog::set_level(spdlog::level::warn);
     if (common.verbose) spdlog::set_level(spdlog::level::debug);
@@ -231,9 +247,9 @@ int run_program(const std::vector<std::string>& words) {
         if (bar.on_screen()) bar.clear();
         spdlog::log(level, "{}", text);
     };
-    const bool streams = common.json == "-" && std::any_of(commands.begin(), commands.end(), [](const cli::Command& c) { return c.streams && c.app->parsed(); });
+    const bool streams = common.json == "-" && std::any_of(commands.begin(), commands.end(), [](const cli::Command& c) { return c.says == cli::Says::Events && c.app->parsed(); });
     const auto event = [&](const nlohmann::ordered_json& what) {
-        if (streams) std::cout << what.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) << std::endl;
+        if (streams) write_event(what);
     };
     progress.on_note = [&](const std::string& text) {
         say(spdlog::level::info, text);
@@ -256,13 +272,15 @@ int run_program(const std::vector<std::string>& words) {
     if (common.threads > 0) limit.emplace(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(common.threads));
     const auto fail = [&](ExitCode code, const std::string& text) {
         if (bar.on_screen()) bar.clear();
-        if (!common.report_said) event({{"event", "error"}, {"exit_code", static_cast<int>(code)}, {"text", text}});
-        spdlog::error("{}", text);
-        return static_cast<int>(code);
+        return refuse(common.json == "-" && !common.report_said, code, text);
     };
     try {
         for (const cli::Command& c : commands)
-            if (c.app->parsed()) return c.run(common, progress);
+            if (c.app->parsed()) {
+                const int code = c.run(common, progress);
+                if (!common.report_said) event({{"event", "done"}, {"exit_code", code}});
+                return code;
+            }
     } catch (const Error& e) {
         return fail(e.code(), e.what());
     } catch (const std::bad_alloc&) {

@@ -6,6 +6,7 @@
 #include <fstream>
 #include <sstream>
 
+#include "../src/atomic_file.h"
 #include "cli.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/version.h"
@@ -23,6 +24,7 @@ class Page {
     virtual void heading(const std::string& text) = 0;
     virtual void item(const std::string& term, const std::string& text) = 0;
     virtual void as_typed(const std::string& text) = 0;
+    virtual void paragraph(const std::string& text) = 0;
     std::string text() const { return out_.str(); }
 
   protected:
@@ -44,6 +46,7 @@ class Markdown : public Page {
         }
     }
     void as_typed(const std::string& text) override { out_ << "```\n" << text << (text.empty() || text.back() != '\n' ? "\n" : "") << "```\n"; }
+    void paragraph(const std::string& text) override { out_ << escaped(text) << "\n"; }
 
   private:
     static std::string escaped(const std::string& text) {
@@ -70,6 +73,7 @@ class Man : public Page {
         if (end != std::string::npos) as_typed(text.substr(end + 1));
     }
     void as_typed(const std::string& text) override { out_ << ".nf\n" << roff(text) << "\n.fi\n"; }
+    void paragraph(const std::string& text) override { out_ << ".PP\n" << roff(text) << "\n"; }
 
   private:
     static std::string upper(std::string text) {
@@ -134,33 +138,36 @@ void fill(Page& page, const CLI::App& app, const std::string& name) {
         for (const CLI::Option* o : app.get_options())
             if (o->get_group() == group) page.item(term_of(*o), o->get_description());
     }
-    if (!app.get_footer().empty()) {
-        page.heading("Examples");
-        std::string footer = app.get_footer();
-        if (footer.rfind("Examples:\n", 0) == 0) footer.erase(0, 10);
-        page.as_typed(footer);
+    // A footer is examples, indented, and sentences around them.
+    std::string examples, sentences;
+    std::istringstream footer(app.get_footer());
+    for (std::string line; std::getline(footer, line);) {
+        if (line.rfind("  ", 0) == 0) examples += line.substr(2) + "\n";
+        else if (line != "Examples:" && line.rfind("Exit codes:", 0) != 0) sentences += (sentences.empty() ? "" : " ") + line;
     }
-}
-
-void put(const fs::path& file, const std::string& text) {
-    std::ofstream out(file, std::ios::binary);
-    out << text;
-    if (!out.flush()) throw OutputError(file.string() + ": cannot be written");
+    if (!sentences.empty()) {
+        page.heading("Notes");
+        page.paragraph(sentences);
+    }
+    if (!examples.empty()) {
+        page.heading("Examples");
+        page.as_typed(examples);
+    }
+    page.heading("Exit status");
+    page.paragraph(kExitCodes);
 }
 
 }  // namespace
 
 void write_pages(const CLI::App& program, const fs::path& folder) {
-    std::error_code error;
-    fs::create_directories(folder, error);
-    if (error) throw OutputError(folder.string() + ": cannot be made: " + error.message());
+    make_folder(folder);
     const auto write = [&](const CLI::App& app, const std::string& name, const std::string& file) {
         Markdown markdown;
         fill(markdown, app, name);
-        put(folder / (file + ".md"), markdown.text());
+        write_file(folder / (file + ".md"), markdown.text());
         Man man;
         fill(man, app, name);
-        put(folder / ((file == "vdbcarve" ? file : "vdbcarve-" + file) + ".1"), man.text());
+        write_file(folder / ((file == "vdbcarve" ? file : "vdbcarve-" + file) + ".1"), man.text());
     };
     write(program, "vdbcarve", "vdbcarve");
     for (const CLI::App* command : program.get_subcommands([](const CLI::App*) { return true; })) write(*command, "vdbcarve " + command->get_name(), command->get_name());

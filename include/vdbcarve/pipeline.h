@@ -122,8 +122,8 @@ std::vector<std::string> mask_names(const Views& views);
 /// Throws InputError.
 Views result_views(const std::filesystem::path& output, const std::filesystem::path& images, Progress& progress);
 
-/// The same of the last run in that folder, which failed: the cameras that it went on with. Throws InputError, also where it never had any.
-Views failed_views(const std::filesystem::path& output, const std::filesystem::path& images, Progress& progress);
+/// The same of the last run in that folder, finished, failed or killed: the cameras that it went on with. Throws InputError, also where it never had any.
+Views last_views(const std::filesystem::path& output, const std::filesystem::path& images, Progress& progress);
 
 /// How a file of a result lies to the scene, as its report says; the scene's own frame where it says nothing.
 FileFrame frame_from_scene(const std::filesystem::path& output, const std::string& file);

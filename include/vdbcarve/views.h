@@ -45,6 +45,7 @@ struct Views {
     std::string units;                  ///< length unit of the world, or empty when unknown
     std::optional<double> floor;        ///< height along `up` of what the object stands on: nothing of it is lower
     std::vector<std::string> left_out;  ///< names of views without an image (allow_missing)
+    std::vector<std::string> without_camera;  ///< pictures beside the photographs that the camera file does not know; looked for where they may still be arriving (is_whole)
     std::vector<std::string> unverified;  ///< why its cameras must not be trusted (exit 5 of align); empty: nothing speaks against them
     bool metric = true;                 ///< false: a projective world, without angles and distances
     bool posed = true;                  ///< false: there was no camera file; focal lengths may be 0 (unknown), poses mean nothing
