@@ -20,7 +20,7 @@ if(NOT VDBCARVE_CUDA STREQUAL "OFF")
   endif()
 endif()
 if(VDBCARVE_HAS_CUDA)
-  add_library(vdbcarve_cuda OBJECT cuda/carve_cuda.cu cuda/color_cuda.cu cuda/dense_cuda.cu cuda/distance_cuda.cu cuda/filter_cuda.cu cuda/grid_cuda.cu cuda/level_set_cuda.cu cuda/mesh_cuda.cu cuda/render_cuda.cu)
+  add_library(vdbcarve_cuda OBJECT cuda/carve_cuda.cu cuda/color_cuda.cu cuda/dense_cuda.cu cuda/distance_cuda.cu cuda/filter_cuda.cu cuda/grid_cuda.cu cuda/level_set_cuda.cu cuda/mesh_cuda.cu cuda/render_cuda.cu cuda/stereo_cuda.cu)
   set_target_properties(vdbcarve_cuda PROPERTIES POSITION_INDEPENDENT_CODE ON CUDA_STANDARD 20)
   target_include_directories(vdbcarve_cuda PRIVATE ${PROJECT_SOURCE_DIR}/include)
   # A fused multiply-add rounds once where the CPU's separate operations round twice: the bits would differ.

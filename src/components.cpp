@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <map>
 #include <numeric>
+#include <set>
 
 #include "inside_tiles.h"
 #include "leaf_neighbours.h"
+#include "pieces.h"
 #include "vdbcarve/filter.h"
 
 namespace vdbcarve {
@@ -13,17 +16,17 @@ using openvdb::Coord;
 
 constexpr int kVoxels = 512;
 
-/// Numbers the pieces of a leaf's inside; returns how many there are (at most 256, every second voxel).
-uint32_t label_leaf(const Leaf& leaf, uint8_t* label) {
+/// Numbers the pieces of a leaf's inside (or of its outside); returns how many there are (at most 256, every second voxel).
+uint32_t label_leaf(const Leaf& leaf, bool inside, uint8_t* label) {
     const float* values = leaf.buffer().data();
     bool done[kVoxels] = {};
     uint16_t stack[kVoxels];
     uint32_t count = 0;
     for (int seed = 0; seed < kVoxels; ++seed) {
-        if (done[seed] || !(values[seed] < 0.f)) continue;
+        if (done[seed] || (values[seed] < 0.f) != inside) continue;
         int top = 0;
         const auto visit = [&](int at) {
-            if (done[at] || !(values[at] < 0.f)) return;
+            if (done[at] || (values[at] < 0.f) != inside) return;
             done[at] = true;
             label[at] = static_cast<uint8_t>(count);
             stack[top++] = static_cast<uint16_t>(at);
@@ -45,77 +48,60 @@ uint32_t label_leaf(const Leaf& leaf, uint8_t* label) {
 
 }  // namespace
 
-std::vector<double> component_volumes(const openvdb::FloatGrid& surface) {
-    const openvdb::FloatTree& tree = surface.tree();
-    std::vector<const Leaf*> leaves;
-    tree.getNodes(leaves);
-    const size_t count = leaves.size();
-    const auto around = neighbours_of(leaves);
-    std::vector<uint8_t> labels(count * kVoxels);
-    std::vector<uint32_t> first(count + 1, 0);
-    tbb::parallel_for(size_t{0}, count, [&](size_t n) { first[n + 1] = label_leaf(*leaves[n], labels.data() + n * kVoxels); });
-    for (size_t n = 0; n < count; ++n) first[n + 1] += first[n];
+Pieces::Pieces(const openvdb::FloatGrid& surface, bool inside) : tree_(surface.tree()), inside_(inside) {
+    tree_.getNodes(leaves_);
+    const size_t count = leaves_.size();
+    for (size_t n = 0; n < count; ++n) leaf_number_[leaves_[n]->origin()] = n;
+    const auto around = neighbours_of(leaves_);
+    labels_.resize(count * kVoxels);
+    first_.assign(count + 1, 0);
+    tbb::parallel_for(size_t{0}, count, [&](size_t n) { first_[n + 1] = label_leaf(*leaves_[n], inside_, labels_.data() + n * kVoxels); });
+    for (size_t n = 0; n < count; ++n) first_[n + 1] += first_[n];
 
-    // Tiles inside are one piece each, numbered after the leaves'.
-    struct Tile {
-        Coord origin;
-        int side;
-    };
-    std::vector<Tile> tiles;
-    std::unordered_map<Coord, uint32_t> tile_number;
-    for_inside_tiles(tree, [&](const Coord& origin, int side) {
-        tile_number[origin] = first[count] + static_cast<uint32_t>(tiles.size());
-        tiles.push_back({origin, side});
-    });
-    std::vector<uint32_t> parent(first[count] + tiles.size());
-    std::vector<int64_t> voxels(parent.size(), 0);
-    std::iota(parent.begin(), parent.end(), 0u);
-    const auto find = [&](uint32_t x) {
-        while (parent[x] != x) x = parent[x] = parent[parent[x]];
-        return x;
-    };
+    // Tiles inside are one piece each, numbered after the leaves'; outside all of them are one, the open.
+    if (inside_)
+        for_inside_tiles(tree_, [&](const Coord& origin, int side) {
+            tile_number_[origin] = first_[count] + static_cast<uint32_t>(tiles_.size());
+            tiles_.push_back({origin, side});
+        });
+    parent_.resize(first_[count] + (inside_ ? tiles_.size() : 1));
+    voxels_.assign(parent_.size(), 0);
+    std::iota(parent_.begin(), parent_.end(), 0u);
     const auto join = [&](uint32_t x, uint32_t y) {
-        x = find(x);
-        y = find(y);
-        if (x != y) parent[std::max(x, y)] = std::min(x, y);
-    };
-    openvdb::FloatGrid::ConstAccessor access = surface.getConstAccessor();
-    /// The tile that a voxel lies in, none where it is outside or in a leaf.
-    const auto tile_at = [&](const Coord& c) -> int64_t {
-        if (access.probeConstLeaf(c) || !(access.getValue(c) < 0.f)) return -1;
-        for (const int side : {8, 128, 4096})
-            if (const auto found = tile_number.find(c & ~(side - 1)); found != tile_number.end() && tiles[found->second - first[count]].side == side) return found->second;
-        return -1;
+        x = root_of(x);
+        y = root_of(y);
+        if (x != y) parent_[std::max(x, y)] = std::min(x, y);
     };
     for (size_t n = 0; n < count; ++n) {
-        const float* values = leaves[n]->buffer().data();
-        const uint8_t* mine = labels.data() + n * kVoxels;
+        const float* values = leaves_[n]->buffer().data();
+        const uint8_t* mine = labels_.data() + n * kVoxels;
+        const auto is_ours = [&](float v) { return (v < 0.f) == inside_; };
         for (int at = 0; at < kVoxels; ++at)
-            if (values[at] < 0.f) ++voxels[first[n] + mine[at]];
+            if (is_ours(values[at])) ++voxels_[first_[n] + mine[at]];
         for (int f = 0; f < 6; ++f) {
             const int shift = f / 2 == 0 ? 6 : f / 2 == 1 ? 3 : 0, near = f % 2 ? 7 : 0, far = 7 - near;
             const int32_t m = around[n][static_cast<size_t>(f)];
             if (m >= 0 && f % 2 == 0) continue;  // seen from the other side
-            Coord beyond = leaves[n]->origin();
+            Coord beyond = leaves_[n]->origin();
             beyond[f / 2] += f % 2 ? 8 : -8;
             const int64_t whole = m < 0 ? tile_at(beyond) : -1;
             if (m < 0 && whole < 0) continue;
             for (int at = 0; at < kVoxels; ++at) {
-                if ((at >> shift & 7) != near || !(values[at] < 0.f)) continue;
-                const uint32_t here = first[n] + mine[at];
+                if ((at >> shift & 7) != near || !is_ours(values[at])) continue;
+                const uint32_t here = first_[n] + mine[at];
                 if (m < 0) {
                     join(here, static_cast<uint32_t>(whole));
                 } else {
                     const int there = at + ((far - near) << shift);
-                    if (leaves[static_cast<size_t>(m)]->buffer().data()[there] < 0.f) join(here, first[static_cast<size_t>(m)] + labels[static_cast<size_t>(m) * kVoxels + static_cast<size_t>(there)]);
+                    if (is_ours(leaves_[static_cast<size_t>(m)]->buffer().data()[there])) join(here, first_[static_cast<size_t>(m)] + labels_[static_cast<size_t>(m) * kVoxels + static_cast<size_t>(there)]);
                 }
             }
         }
     }
-    for (size_t t = 0; t < tiles.size(); ++t) {
-        const auto [o, side] = tiles[t];
-        const uint32_t here = first[count] + static_cast<uint32_t>(t);
-        voxels[here] += static_cast<int64_t>(side) * side * side;
+    for (size_t t = 0; t < tiles_.size(); ++t) {
+        const auto [o, side] = tiles_[t];
+        const uint32_t here = first_[count] + static_cast<uint32_t>(t);
+        voxels_[here] += static_cast<int64_t>(side) * side * side;
         for (int axis = 0; axis < 3; ++axis)
             for (const int step : {-8, side})
                 for (int a = 0; a < side; a += 8)
@@ -127,13 +113,87 @@ std::vector<double> component_volumes(const openvdb::FloatGrid& surface) {
                         if (const int64_t other = tile_at(c); other >= 0) join(here, static_cast<uint32_t>(other));
                     }
     }
-    for (uint32_t x = 0; x < parent.size(); ++x)
-        if (const uint32_t root = find(x); root != x) voxels[root] += voxels[x];
+    for (uint32_t x = 0; x < parent_.size(); ++x) {
+        const uint32_t root = root_of(x);
+        parent_[x] = root;
+        if (root != x) voxels_[root] += voxels_[x];
+    }
+    open_ = inside_ ? UINT32_MAX : parent_[first_[count]];
+}
+
+uint32_t Pieces::root_of(uint32_t x) {
+    while (parent_[x] != x) x = parent_[x] = parent_[parent_[x]];
+    return x;
+}
+
+int64_t Pieces::tile_at(const Coord& c) const {
+    if (leaf_number_.count(c & ~7) || (tree_.getValue(c) < 0.f) != inside_) return -1;
+    if (!inside_) return first_.back();
+    for (const int side : {8, 128, 4096})
+        if (const auto found = tile_number_.find(c & ~(side - 1)); found != tile_number_.end() && tiles_[found->second - first_.back()].side == side) return found->second;
+    return -1;
+}
+
+int64_t Pieces::at(const Coord& c) const {
+    if (const auto found = leaf_number_.find(c & ~7); found != leaf_number_.end()) {
+        const openvdb::Index n = Leaf::coordToOffset(c);
+        return (leaves_[found->second]->getValue(n) < 0.f) == inside_ ? parent_[first_[found->second] + labels_[found->second * kVoxels + n]] : -1;
+    }
+    const int64_t tile = tile_at(c);
+    return tile < 0 ? -1 : parent_[static_cast<size_t>(tile)];
+}
+
+std::vector<double> component_volumes(const openvdb::FloatGrid& surface) {
+    const Pieces pieces(surface, true);
     std::vector<double> out;
     const double voxel = surface.voxelSize()[0];
-    for (uint32_t x = 0; x < parent.size(); ++x)
-        if (parent[x] == x && voxels[x] > 0) out.push_back(static_cast<double>(voxels[x]) * voxel * voxel * voxel);
+    pieces.for_each([&](uint32_t, int64_t voxels) { out.push_back(static_cast<double>(voxels) * voxel * voxel * voxel); });
     std::sort(out.rbegin(), out.rend());
+    return out;
+}
+
+Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid& before, double least_share) {
+    Fragments out;
+    const float band = carved.background();
+    std::vector<Leaf*> leaves;
+    carved.tree().getNodes(leaves);
+    {
+        const Pieces voids(carved, false);
+        std::set<int64_t> filled;
+        for (Leaf* leaf : leaves)
+            for (openvdb::Index n = 0; n < kVoxels; ++n) {
+                if (leaf->getValue(n) < 0.f) continue;
+                const Coord c = leaf->offsetToGlobalCoord(n);
+                const int64_t piece = voids.at(c);
+                if (piece == voids.open()) continue;
+                const float was = before.tree().getValue(c);
+                if (!(was < 0.f)) continue;  // the hull has that cavity, too
+                leaf->setValueOnly(n, was);
+                filled.insert(piece);
+                ++out.filled_voxels;
+            }
+        out.voids = filled.size();
+    }
+    const Pieces pieces(carved, true), whole(before, true);
+    std::map<int64_t, bool> drop;  // by piece
+    const auto is_dropped = [&](const Coord& c) {
+        const int64_t piece = pieces.at(c);
+        const auto [known, fresh] = drop.emplace(piece, false);
+        if (fresh) {
+            const int64_t of = whole.at(c);
+            known->second = of >= 0 && static_cast<double>(pieces.voxels(piece)) < least_share * static_cast<double>(whole.voxels(of));
+            if (known->second) ++out.fragments, out.dropped_voxels += static_cast<size_t>(pieces.voxels(piece));
+        }
+        return known->second;
+    };
+    for (Leaf* leaf : leaves)
+        for (openvdb::Index n = 0; n < kVoxels; ++n)
+            if (leaf->getValue(n) < 0.f && is_dropped(leaf->offsetToGlobalCoord(n))) leaf->setValueOnly(n, band);
+    std::vector<std::pair<Coord, int>> tiles;
+    for_inside_tiles(carved.tree(), [&](const Coord& origin, int side) {
+        if (is_dropped(origin)) tiles.emplace_back(origin, side);
+    });
+    for (const auto& [origin, side] : tiles) carved.tree().addTile(tile_level(side), origin, band, false);
     return out;
 }
 

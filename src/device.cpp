@@ -64,6 +64,7 @@ void DevicePipeline::level_set(const LevelSetOptions&) { absent(); }
 openvdb::FloatGrid::Ptr DevicePipeline::surface() const { absent(); }
 void DevicePipeline::set_surface(const openvdb::FloatGrid&) { absent(); }
 ColorResult DevicePipeline::color(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const ColorOptions&, Progress&) { absent(); }
+StereoResult DevicePipeline::stereo(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const StereoOptions&, Progress&) { absent(); }
 FilterResult DevicePipeline::filter(const FilterOptions&, Progress&) { absent(); }
 void DevicePipeline::set_colors(const NanoBuffer&) { absent(); }
 Image8 DevicePipeline::render(const Camera&, const RenderOptions&) { absent(); }
@@ -600,7 +601,7 @@ std::vector<std::pair<std::string, double>> DevicePipeline::milliseconds() const
 void DevicePipeline::clear_times() { parts_->times.clear(); }
 size_t DevicePipeline::bytes() const {
     const Parts& p = *parts_;
-    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
+    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() + p.stereo.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
 }
 size_t DevicePipeline::free_bytes() const {
     parts_->use();

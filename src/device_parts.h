@@ -14,6 +14,7 @@
 #include "../cuda/level_set_cuda.h"
 #include "../cuda/mesh_cuda.h"
 #include "../cuda/render_cuda.h"
+#include "../cuda/stereo_cuda.h"
 #include "marching_cubes.h"
 #include "nanovdb_bytes.h"
 #include "redistance.h"
@@ -94,6 +95,7 @@ struct DevicePipeline::Parts {
     cuda::MeshStage mesh;
     cuda::ColorStage color;
     cuda::RenderStage render;
+    cuda::StereoStage stereo;
     cuda::DeviceBuffer<uint8_t> photos;   ///< of a batch
     cuda::DeviceBuffer<float> uploaded_values;
     cuda::DeviceBuffer<uint64_t> uploaded_active;

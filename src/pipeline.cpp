@@ -168,6 +168,7 @@ class Job {
             return finish();
         }
         stage("level_set", [&] { return make_surface(); });
+        if (o_.use_stereo) stage("stereo", [&] { return carve_by_depth(); });
         if (o_.color.mode != ColorMode::None) stage("color", [&] { return make_color(); });
         stage("filter", [&] { return filter_surface(); });
         stage("mesh", [&] { return make_mesh(); });
@@ -280,6 +281,8 @@ class Job {
         }
         need(o_.color.depth_vox >= 1 && o_.color.depth_vox <= 1000, "--color-depth is " + std::to_string(o_.color.depth_vox) + " layers, must be 1..1000");
         need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox, "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
+        need(o_.use_stereo || o_.stereo == StereoOptions(), "--stereo-scale, --stereo-depth and --stereo-levels are of --stereo on");
+        need(!o_.use_stereo || !o_.occupancy, "--stereo on carves a level set, and --occupancy makes none");
         need(!o_.color.skip_upright || o_.color.mode == ColorMode::Best, "--paper is of --color best");
         need(o_.color_leave_out == 0 || o_.color_leave_out >= 2, "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
         need(!o_.quads || o_.mesher == Mesher::Dual, "--quads are made by --mesher dual only");
@@ -1725,6 +1728,75 @@ class Job {
         return false;
     }
 
+    // --------------------------------------------------------------------------------------- stereo
+
+    /// What silhouettes cannot see, from the photographs' depths.
+    bool carve_by_depth() {
+        Sha256 h;
+        StereoOptions options = o_.stereo;
+        options.backend = Backend::Cpu;
+        options.device = o_.device;
+        if (!options.scale) options.scale = backend_ == Backend::Cuda ? 1 : 2;
+        const StereoTrust& t = options.trust;
+        h.add("stereo").add_value(kCodeVersion).add(surface_key_).add_value(options.pairs).add_value(options.least_angle_deg).add_value(options.most_angle_deg).add_value(options.scale).add_value(options.levels).add_value(options.passes).add_value(options.depth_share);
+        h.add_value(t.most_cost).add_value(t.least_contrast).add_value(t.least_margin).add_value(t.agreeing).add_value(t.agreement_px).add_value(t.normal_deg).add_value(t.rim_px);
+        h.add_value(options.truncation_vox).add_value(options.reach_share).add_value(options.coarser_weight).add_value(options.least_weight).add_value(options.least_piece).add_value(o_.color_leave_out);
+        for (size_t i : used_) h.add(file_hashes_[i]);
+        if (photos_are_masks()) {
+            progress_.warn("--stereo on: the images are the silhouettes themselves, which have no texture; the hull stands");
+            return false;
+        }
+        surface_key_ = h.hex();
+        const fs::path file = store_.path("stereo", surface_key_, ".vdb"), note_file = store_.path("stereo", surface_key_, ".json");
+        if (const auto note = stage_note(note_file, {"stereo", "warnings"}); note && fs::exists(file)) {
+            surface_.reset();
+            for (const openvdb::GridBase::Ptr& grid : read_vdb(file)) {
+                if (grid->getName() == "surface") surface_ = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
+                if (grid->getName() == "stereo_confidence") stereo_confidence_ = grid;
+            }
+            if (!surface_) throw InputError(file.string() + ": holds no surface. Remedy: vdbcarve clean " + o_.output.string());
+            surface_on_device_ = false;
+            report_["stereo"] = (*note)["stereo"];
+            warn_again(*note);
+            return true;
+        }
+        const size_t warnings_before = progress_.warnings().size();
+        const double pixels = largest_photo_bytes() / 3 / (options.scale * options.scale), views = static_cast<double>(used_.size());
+        const double bytes = views * (largest_photo_bytes() + kStereoPerPixel * pixels * 4 / 3);
+        if (const double room = memory_limit_bytes_; room > 0 && bytes > room)
+            throw InputError(text_of("--stereo on: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB may be used. Remedy: --stereo-scale %d, or a larger --memory-limit", used_.size(), bytes / 1e9, options.scale, room / 1e9, 2 * options.scale));
+        StereoResult result;
+        const std::vector<ColorInput> inputs = color_inputs();
+        const bool done = backend_ == Backend::Cuda && on_device("stereo", [&] {
+            if (!surface_on_device_) device_->set_surface(*surface_);
+            surface_on_device_ = true;
+            result = device_->stereo(*surface_, inputs, photo_source(), options, progress_);
+        });
+        if (!done) result = stereo(*surface_, inputs, photo_source(), options, progress_);
+        surface_ = result.surface;
+        surface_on_device_ = false;
+        stereo_confidence_ = result.confidence;
+        json ms, of_views;
+        size_t object = 0, trusted = 0, without = 0;
+        for (size_t u = 0; u < inputs.size(); ++u) {
+            const StereoViewStatistics& v = result.views[u];
+            object += v.object_pixels;
+            trusted += v.trusted_pixels;
+            without += inputs[u].use && v.pairs == 0;
+            of_views.push_back({{"name", inputs[u].name}, {"compared_with", v.pairs}, {"matched_share", share_of(v.matched_pixels, v.object_pixels)}, {"trusted_share", share_of(v.trusted_pixels, v.object_pixels)}});
+        }
+        for (const auto& [name, value] : result.milliseconds) ms[name] = value;
+        report_["stereo"] = {{"scale", result.scale}, {"trusted_share", share_of(trusted, object)}, {"volume_before", result.volume_before}, {"volume", result.volume}, {"fragments_dropped", result.fragments}, {"voids_filled", result.voids}, {"milliseconds", ms}, {"views", of_views}};
+        progress_.note(text_of("stereo: %.0f %% of the object's pixels have a depth that other views bear out; volume %+.2f %%", 100 * share_of(trusted, object), 100 * (result.volume / result.volume_before - 1)));
+        if (without) progress_.warn(text_of("stereo: %zu of %zu views have no two others at 8 to 40 degrees from them, and give no depth. Remedy: photographs nearer to each other", without, inputs.size()));
+        if (share_of(trusted, object) < 0.05) progress_.warn(text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs texture, and cameras right to a pixel (--method refine)", 100 * share_of(trusted, object)));
+        write_vdb(file, {surface_, stereo_confidence_}, metadata());
+        write_file(note_file, json{{"stereo", report_["stereo"]}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
+        return false;
+    }
+    static double share_of(size_t part, size_t whole) { return whole ? static_cast<double>(part) / static_cast<double>(whole) : 0; }
+    static constexpr double kStereoPerPixel = 60;  ///< bytes: grey, plane, cost, confidence, the hull's answers
+
     // --------------------------------------------------------------------------------------- colour
 
     /// Photographs that are silhouettes themselves, or copies of them, have no colour to give.
@@ -2032,6 +2104,7 @@ class Job {
             if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
             grids.push_back(occupancy_);
         }
+        if (stereo_confidence_) grids.push_back(stereo_confidence_);
         if (color_) {
             openvdb::Vec3SGrid::Ptr named = openvdb::Vec3SGrid::create(color_->treePtr());
             named->openvdb::MetaMap::operator=(*color_);
@@ -2246,7 +2319,7 @@ class Job {
             for (const char* gone : {"failure.json", "failure.toml"}) fs::remove(store_.folder() / gone);
             if (place_ == o_.output && o_.last_stage != LastStage::Mask) clear_unverified();
             if (o_.last_stage == LastStage::Export && place_ == o_.output) write_page();
-            if (!o_.views.added.empty() && o_.last_stage == LastStage::Export) store_.forget_others({"masks", "repaired", "hull", "surface", "color", "filtered", "mesh", "smooth"});
+            if (!o_.views.added.empty() && o_.last_stage == LastStage::Export) store_.forget_others({"masks", "repaired", "hull", "surface", "stereo", "color", "filtered", "mesh", "smooth"});
         }
         return out;
     }
@@ -2302,7 +2375,7 @@ class Job {
     CarveOptions carve_;
     openvdb::FloatGrid::Ptr hull_, surface_;
     openvdb::Vec3SGrid::Ptr color_;
-    openvdb::GridBase::Ptr views_grid_, confidence_grid_;
+    openvdb::GridBase::Ptr views_grid_, confidence_grid_, stereo_confidence_;
     json color_views_ = json::object();        ///< what colouring says of each view
     std::set<std::string> missing_photos_;
     std::mutex missing_mutex_;

@@ -11,6 +11,7 @@
 #include "same_transform.h"
 #include "support/carve_cases.h"
 #include "support/color_scene.h"
+#include "support/dented_ball.h"
 #include "support/noise_grid.h"
 #include "support/packed_scene.h"
 #include "support/same_grid.h"
@@ -445,6 +446,31 @@ TEST_P(GpuColor, EqualsTheCpus) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Colors, GpuColor, testing::ValuesIn(color_cases()), [](const auto& instance) { return instance.param.name; });
+
+TEST_F(Gpu, DepthsEqualTheCpus) {
+    for (const bool orthographic : {false, true}) {
+        const DentedScene scene(0.9, 16, 160, 48, orthographic);
+        for (const int scale : {1, 2}) {
+            StereoOptions o;
+            o.scale = scale;
+            const StereoResult cpu = stereo(*scene.hull, scene.inputs, {}, o, quiet_);
+            o.backend = Backend::Cuda;
+            const StereoResult gpu = stereo(*scene.hull, scene.inputs, {}, o, quiet_);
+            EXPECT_EQ(gpu.backend_used, "cuda");
+            expect_same(*cpu.surface, *gpu.surface);
+            expect_same(*cpu.confidence, *gpu.confidence);
+            ASSERT_EQ(cpu.maps.size(), gpu.maps.size());
+            for (size_t v = 0; v < cpu.maps.size(); ++v) {
+                EXPECT_EQ(cpu.maps[v].depth.data, gpu.maps[v].depth.data) << "view " << v;
+                EXPECT_EQ(cpu.maps[v].confidence.data, gpu.maps[v].confidence.data) << "view " << v;
+                EXPECT_EQ(cpu.views[v].pairs, gpu.views[v].pairs);
+                EXPECT_EQ(cpu.views[v].object_pixels, gpu.views[v].object_pixels);
+                EXPECT_EQ(cpu.views[v].matched_pixels, gpu.views[v].matched_pixels);
+            }
+            EXPECT_LT(cpu.volume, 0.96 * cpu.volume_before);
+        }
+    }
+}
 
 TEST_F(Gpu, AnUnseenSurfaceIsExplainedAlike) {
     ColorScene s = colored("ellipsoids", 5, 32);

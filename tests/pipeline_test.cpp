@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "io_image.h"
+#include "support/dented_ball.h"
 #include "support/scenes.h"
 #include "vdbcarve/bundle.h"
 #include "vdbcarve/carve.h"
@@ -1147,6 +1148,60 @@ TEST(Bundle, OfARunThatFailedSaysWhatWith) {
     job.options.bounds.reset();
     EXPECT_GT(job.run()["mesh"]["volume"], 0);
     EXPECT_FALSE(fs::exists(job.folder / "again/stages/failure.json"));  // it is mended
+}
+
+// A dent that silhouettes do not show: --stereo on takes it out, keeps what it made, and without texture leaves the hull alone.
+TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
+    TemporaryFolder folder;
+    const DentedScene dented(0.9, 24, 160, 48);
+    Views views;
+    fs::create_directories(folder / "scene/images");
+    fs::create_directories(folder / "scene/masks");
+    for (size_t v = 0; v < dented.cameras.size(); ++v) {
+        View view;
+        view.name = "images/" + std::to_string(v) + ".png";
+        view.image_path = folder / ("scene/" + view.name);
+        view.camera = dented.cameras[v];
+        views.views.push_back(view);
+        const auto photo = io::encode_png(dented.photos[v].pixels8.view()), mask = io::encode_png(dented.masks[v].coverage.view());
+        write_text(view.image_path, std::string(photo.begin(), photo.end()));
+        write_text(folder / ("scene/masks/" + std::to_string(v) + ".png"), std::string(mask.begin(), mask.end()));
+    }
+    views.up = "z";
+    write_cameras(views, folder / "scene/cameras.json");
+    ReconstructOptions o;
+    o.views.scene = folder / "scene";
+    o.output = folder / "out";
+    o.resolution = 48;
+    o.mesh_formats = {"ply"};
+    o.report = false;
+    Progress quiet;
+    const auto run = [&] { return json::parse(reconstruct(o, quiet).report_json); };
+    const json hull = run();
+    EXPECT_FALSE(hull.contains("stereo"));
+    o.use_stereo = true;
+    o.stereo.scale = 1;
+    const json carved = run();
+    const double truth = DentedBall().volume();
+    EXPECT_GT(hull["mesh"]["volume"], 1.08 * truth);
+    EXPECT_LT(carved["mesh"]["volume"], 1.03 * truth);
+    EXPECT_GT(carved["mesh"]["volume"], 0.98 * truth);
+    EXPECT_TRUE(carved["mesh"]["manifold"]);
+    EXPECT_GT(carved["silhouette_iou"]["median"], 0.98);
+    EXPECT_GT(carved["stereo"]["trusted_share"], 0.5);
+    std::set<std::string> names;
+    for (const auto& grid : read_vdb(folder / "out/volume.vdb")) names.insert(grid->getName());
+    EXPECT_TRUE(names.count("stereo_confidence")) << names.size();
+    const std::string mesh = read_text(folder / "out/mesh.ply");
+    const json again = run();
+    EXPECT_TRUE(Job::reused(again, "stereo"));
+    EXPECT_EQ(read_text(folder / "out/mesh.ply"), mesh);
+    o.color_leave_out = 2;  // views that are held back are held back from depths, too
+    EXPECT_FALSE(Job::reused(run(), "stereo"));
+    o.occupancy = true;
+    EXPECT_THROW(run(), UsageError);
+    o.occupancy = o.use_stereo = false;
+    EXPECT_THROW(run(), UsageError);  // --stereo-scale without it
 }
 
 TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {

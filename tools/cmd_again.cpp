@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One stage anew on a result: color, filter, mesh, smooth. A result's config.toml says how it was made; what is given here replaces it, and stages that do
+// One stage anew on a result: stereo, color, filter, mesh, smooth. A result's config.toml says how it was made; what is given here replaces it, and stages that do
 // not depend on it are found done.
 #include <fstream>
 #include <memory>
@@ -30,7 +30,9 @@ Command add_again(CLI::App& program, const char* name, const char* what, const c
                 words.push_back("reconstruct");
                 // Where the result is now counts, not where it was.
                 words.insert(words.end(), {"-o", *folder});
-                for (const std::string& word : app->remaining()) words.push_back(word);
+                const std::vector<std::string> given = app->remaining();
+                if (app->get_name() == "stereo" && std::none_of(given.begin(), given.end(), [](const std::string& word) { return word == "--stereo" || word.rfind("--stereo=", 0) == 0; })) words.insert(words.end(), {"--stereo", "on"});
+                words.insert(words.end(), given.begin(), given.end());
                 return run_program(words);
             }, Says::Nothing};
 }

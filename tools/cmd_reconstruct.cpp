@@ -344,6 +344,10 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         app->add_option("--color-normal-radius", o.color.normal_radius_vox, "the paper's normals, from a window of so many voxels (default: the level set's; 3 with --occupancy)")->check(CLI::Range(1, kMaxNormalRadius_vox))->group("Colour");
         add_choice<bool>(*app, "--color-occlusion", o.color.test_occlusion, {{"on", true}, {"off", false}}, "off: hidden surfaces take the colour of what stands before them, as in the paper")->group("Colour");
         app->add_flag("--paper", o.color.skip_upright, "with --color best: faces that look straight up or down (within 2.6 degrees) are left to the fill (the paper's listing 4.2)")->group("Colour");
+        add_choice<bool>(*app, "--stereo", o.use_stereo, {{"off", false}, {"on", true}}, "on: carve what silhouettes cannot see (concavities) by the photographs' depths, inside the hull; needs texture. off (default)")->group("Stereo");
+        app->add_option("--stereo-scale", o.stereo.scale, "pixels of a photograph a side of one that is compared: 1 finest; 0: 1 on a GPU, 2 on a CPU")->capture_default_str()->check(CLI::Range(0, 16))->group("Stereo");
+        app->add_option("--stereo-depth", o.stereo.depth_share, "how deep behind the hull depths are searched, as a share of the object's size")->capture_default_str()->check(CLI::Range(0.01, 1.0))->group("Stereo");
+        app->add_option("--stereo-levels", o.stereo.levels, "sizes of photographs that are compared, each half of the one before")->capture_default_str()->check(CLI::Range(1, 4))->group("Stereo");
         app->add_option_function<std::string>("--filter", [raw](const std::string& text) {
             raw->options.filters.reset();
             if (text != "auto") raw->options.filters = parse_filters(text);
@@ -427,6 +431,7 @@ Command add_reconstruct(CLI::App& program) {
                "  vdbcarve reconstruct photos --mask threshold --known-height 120 --units mm -o out   no cameras: found from the silhouettes\n"
                "  vdbcarve reconstruct photos --cameras aligned/cameras.json -o out        cameras that align found\n"
                "  vdbcarve reconstruct photos --method mat --mat mat.pdf.json -o out       cameras from a mat that board made, in true size\n"
+               "  vdbcarve reconstruct shoot --stereo on -o out                            with concavities, of a textured object\n"
                "  vdbcarve reconstruct shoot --units mm --dcc blender -o out               in Blender's axes and metres");
 }
 Command add_watch(CLI::App& program) {

@@ -167,6 +167,7 @@ int run_program(const std::vector<std::string>& words) {
 
     std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_watch(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
                                        cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_report(program), cli::add_bundle(program), cli::add_bench(program), cli::add_board(program),
+                                       cli::add_again(program, "stereo", "carve a result's concavities by its photographs' depths: OUT and options of reconstruct", "--stereo-scale 1"),
                                        cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
                                        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
                                        cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),

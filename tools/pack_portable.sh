@@ -21,8 +21,8 @@ while [ $# -gt 0 ]; do
 done
 build=$root/build/$preset
 if [ "$tests" = yes ]; then
-  cmake --build "$build" --target vdbcarve_gpu_tests vdbcarve_device_bench
-  binaries=("$build/tests/vdbcarve_gpu_tests" "$build/tests/vdbcarve_device_bench")
+  cmake --build "$build" --target vdbcarve_gpu_tests vdbcarve_device_bench vdbcarve_stereo_study
+  binaries=("$build/tests/vdbcarve_gpu_tests" "$build/tests/vdbcarve_device_bench" "$build/tests/vdbcarve_stereo_study")
 else
   cmake --build "$build" --target vdbcarve_cli
   binaries=("$build/vdbcarve")

@@ -20,6 +20,7 @@
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/progress.h"
 #include "vdbcarve/smooth.h"
+#include "vdbcarve/stereo.h"
 #include "vdbcarve/triangle_mesh.h"
 #include "vdbcarve/video.h"
 #include "vdbcarve/views.h"
@@ -75,6 +76,8 @@ struct ReconstructOptions {
     bool flat_base = false;                          ///< cut the foot by a plane where the lowest contour was seen; needs an up axis
     double cap_tolerance = 0;                        ///< surface farther beyond the highest and lowest contours is called extrapolated, scene units; 0: two voxels
 
+    bool use_stereo = false;                         ///< carve concavities by the photographs' depths
+    StereoOptions stereo;                            ///< backend and device are set by the job
     /// How the surface is coloured; mode None: not. Gains, backend, device and `up` are set by the job; `batch` is lowered to keep within memory_limit.
     ColorOptions color;
     bool color_from_photos = false;                  ///< vertex colours straight from the photographs, not from the volume

@@ -1,0 +1,500 @@
+// SPDX-License-Identifier: Apache-2.0
+// The arithmetic of depth by photo-consistency, a pixel at a time: how well a plane through a pixel explains what other views show, and
+// how better planes are found.
+//
+// PatchMatch stereo (Bleyer, Rhemann and Rother 2011) with the red-black order of Galliani, Lasinger and Schindler 2015 ("Gipuma"), scored by bilaterally
+// weighted normalised cross-correlation (Schoenberger et al. 2016), searched only where the visual hull leaves room.
+//
+// Frames: image pixels of the working size, the first pixel's centre at (0.5, 0.5); camera space, z forward. A plane is written by `s`, the inverse depth 1/z
+// for a perspective reference and z for an orthographic one: over a plane s is linear in pixel coordinates, whichever it is, so that the way into another picture is
+// one projective map. Only +, -, *, /, sqrt: both backends give the same bits.
+#pragma once
+
+#include <cstdint>
+
+#include "vdbcarve/kernel/render.h"
+
+namespace vdbcarve::kernel {
+
+inline constexpr int kMostStereoPairs = 8;
+inline constexpr int kWindowSide = 5, kWindowStep_px = 2, kWindowSamples = kWindowSide * kWindowSide;  ///< 25 samples of 9 x 9 pixels
+inline constexpr float kNoCost = 2.f;               ///< nothing is known; 1 - ZNCC is at most 2
+inline constexpr float kLeastStereoCosine = 0.15f;  ///< between a plane's normal and the line of sight
+inline constexpr float kLeastVariance = 1e-6f;      ///< of a window, so that flat ones compare as unlike instead of by their noise
+
+/// A view at the working size. Borrowed.
+struct StereoImage {
+    const float* grey;  ///< row-major, sRGB-coded, 0..1
+    int width, height;
+};
+
+/// From a reference picture into another: image point ~ from_pixel (u, v, 1) + s along.
+struct StereoPair {
+    float from_pixel[9];
+    float along[3];
+    float depth[4];  ///< its depth, times what makes the point homogeneous: depth[0..2] (u, v, 1) + s depth[3]
+    float turn[9];   ///< rotation of camera axes into the other's
+    int view;
+};
+
+/// s over the pixels around: s + su du + sv dv.
+struct StereoPlane {
+    float s, su, sv;
+};
+
+/// The reference's lens.
+struct StereoLens {
+    float fx, fy, skew, cx, cy;
+    bool orthographic;
+};
+
+// ------------------------------------------------------------------------------------ planes
+
+/// The line of sight of an image point, at depth 1 (not of unit length); orthographic: (0, 0, 1).
+VDBCARVE_HD Vec3 stereo_ray(const StereoLens& lens, float u, float v) {
+    if (lens.orthographic) return {0.f, 0.f, 1.f};
+    const float y = (v - lens.cy) / lens.fy;
+    return {(u - lens.cx - lens.skew * y) / lens.fx, y, 1.f};
+}
+
+/// Unit normal, towards the camera, of a plane at an image point.
+VDBCARVE_HD Vec3 plane_normal(const StereoLens& lens, const StereoPlane& plane, float u, float v) {
+    const float x = lens.fx * plane.su, y = lens.fy * plane.sv + lens.skew * plane.su;
+    Vec3 n;
+    if (lens.orthographic) {
+        n = {x, y, -1.f};
+    } else {
+        const Vec3 r = stereo_ray(lens, u, v);
+        n = {-x, -y, x * r.x + y * r.y - plane.s};
+    }
+    const float inverse = 1.f / std::sqrt(dot(n, n));
+    return {n.x * inverse, n.y * inverse, n.z * inverse};
+}
+
+/// Cosine between the normal and the way back to the camera.
+VDBCARVE_HD float sight_cosine(const StereoLens& lens, const Vec3& normal, float u, float v) {
+    const Vec3 r = stereo_ray(lens, u, v);
+    return -dot(normal, r) / std::sqrt(dot(r, r));
+}
+
+/// The plane of that normal (sight_cosine above 0) at s.
+VDBCARVE_HD StereoPlane plane_of_normal(const StereoLens& lens, const Vec3& n, float s, float u, float v) {
+    if (lens.orthographic) {
+        const float su = -n.x / (lens.fx * n.z);
+        return {s, su, (-n.y / n.z - lens.skew * su) / lens.fy};
+    }
+    const float f = s / dot(n, stereo_ray(lens, u, v));
+    const float su = f * n.x / lens.fx;
+    return {s, su, (f * n.y - lens.skew * su) / lens.fy};
+}
+
+/// What a plane says at a pixel so many beside its own.
+VDBCARVE_HD StereoPlane moved(const StereoPlane& p, float du, float dv) { return {p.s + du * p.su + dv * p.sv, p.su, p.sv}; }
+
+VDBCARVE_HD float depth_of(const StereoLens& lens, float s) { return lens.orthographic ? s : 1.f / s; }
+
+// ------------------------------------------------------------------------------------ the hull
+
+/// What it takes to ask the hull about a view's pixels.
+struct HullView {
+    RenderRule rays;
+    double depth[4];     ///< along the camera's z, world units: depth[0..2] (voxels from the base) + depth[3]
+    double normal[9];    ///< camera axes from world axes
+    double deepest;      ///< the search ends so far behind the first surface, world units
+    bool orthographic;
+};
+
+struct HullSight {
+    float front, back;  ///< s; 0: there is no hull
+    Vec3 normal;        ///< towards the camera, camera space
+};
+
+/// First surface, and last or deepest, on a pixel's line of sight.
+VDBCARVE_HD HullSight hull_sight(FieldReader& field, SightCells& cells, const RenderVolume& volume, const HullView& view, int x, int y) {
+    HullSight out{0.f, 0.f, {0.f, 0.f, -1.f}};
+    PixelRay ray = pixel_ray(view.rays, volume.box, x + 0.5, y + 0.5);
+    if (!ray.hits) return out;
+    const Vec3 back{-ray.direction.x, -ray.direction.y, -ray.direction.z};
+    Vec3 place[2];  // once from before, once from behind
+    for (int n = 0; n < 2; ++n) {
+        if (n == 1) {
+            const CellWalk walk(volume.box, ray.start, ray.direction, kFarthest_vox);
+            ray.start = along(ray.start, walk.end, ray.direction);
+            ray.direction = back;
+        }
+        if (!find_surface(field, cells, volume, ray, 0.f, place[n])) {
+            if (n == 0) return out;
+            place[1] = place[0];
+        }
+    }
+    double z[2];
+    for (int n = 0; n < 2; ++n) z[n] = view.depth[0] * static_cast<double>(place[n].x) + view.depth[1] * static_cast<double>(place[n].y) + view.depth[2] * static_cast<double>(place[n].z) + view.depth[3];
+    if (!(view.orthographic || z[0] > 0.0)) return out;
+    if (z[1] > z[0] + view.deepest) z[1] = z[0] + view.deepest;
+    if (!(z[1] > z[0])) z[1] = z[0];
+    out.front = static_cast<float>(view.orthographic ? z[0] : 1.0 / z[0]);
+    out.back = static_cast<float>(view.orthographic ? z[1] : 1.0 / z[1]);
+    const Vec3 n = field.normal(place[0].x, place[0].y, place[0].z, back);
+    const double* r = view.normal;
+    const auto row = [&](int a) { return static_cast<float>(r[3 * a] * static_cast<double>(n.x) + r[3 * a + 1] * static_cast<double>(n.y) + r[3 * a + 2] * static_cast<double>(n.z)); };
+    out.normal = {row(0), row(1), row(2)};
+    return out;
+}
+
+/// A plane and what it costs.
+struct StereoBest {
+    StereoPlane plane;
+    float cost;
+};
+
+/// Everything about one reference view. Borrowed.
+struct StereoReference {
+    StereoImage image;
+    StereoLens lens;
+    int view, pairs;
+    StereoPair pair[kMostStereoPairs];
+    StereoImage other[kMostStereoPairs];
+    const HullSight* hull; ///< of every pixel; front 0 also where the pixel is not of the object
+    const StereoBest* coarse;  ///< planes found at half the working size, to begin with; null: there are none
+    int coarse_width, coarse_height;
+    float margin;          ///< the search begins so much before the hull, world units
+};
+
+/// Between which s the search goes at a pixel of the object.
+struct StereoRange {
+    float lo, hi;
+};
+VDBCARVE_HD StereoRange range_of(const StereoReference& r, int at) {
+    const float front = r.hull[at].front, back = r.hull[at].back;
+    const float first = r.lens.orthographic ? front - r.margin : front / max_f(1.f - r.margin * front, 0.1f);
+    return {min_f(first, back), max_f(first, back)};
+}
+
+// ------------------------------------------------------------------------------------ likeness
+
+/// A reference window: what it shows, less its mean, times the weights; their sum is 1.
+struct StereoWindow {
+    float weight[kWindowSamples];
+    float weighted[kWindowSamples];
+    float mean, variance;
+};
+
+/// The pixels around (x, y) that are the object's, weighted by how near and how like its middle they are. (1 + d^2)^-2 stands for Gaussians: no library
+/// function that differs between machines.
+VDBCARVE_HD StereoWindow window_at(const StereoReference& r, int x, int y) {
+    constexpr int kReach = (kWindowSide - 1) / 2;
+    constexpr float kLike = 1.f / 0.12f, kNear = 1.f / 6.f;  // of brightness; of pixels
+    StereoWindow w;
+    const float middle = r.image.grey[y * r.image.width + x];
+    float sum = 0.f, mean = 0.f;
+    float value[kWindowSamples];
+    for (int n = 0; n < kWindowSamples; ++n) {
+        const int du = (n % kWindowSide - kReach) * kWindowStep_px, dv = (n / kWindowSide - kReach) * kWindowStep_px;
+        const int i = x + du, j = y + dv;
+        w.weight[n] = 0.f;
+        value[n] = 0.f;
+        if (i < 0 || j < 0 || i >= r.image.width || j >= r.image.height || r.hull[j * r.image.width + i].front == 0.f) continue;
+        value[n] = r.image.grey[j * r.image.width + i] - middle;
+        const float like = value[n] * kLike, a = 1.f / (1.f + like * like), b = 1.f / (1.f + static_cast<float>(du * du + dv * dv) * (kNear * kNear));
+        w.weight[n] = (a * a) * (b * b);
+        sum += w.weight[n];
+        mean += w.weight[n] * value[n];
+    }
+    const float inverse = 1.f / sum;  // the middle itself weighs 1
+    mean *= inverse;
+    w.variance = 0.f;
+    for (int n = 0; n < kWindowSamples; ++n) {
+        w.weight[n] *= inverse;
+        w.weighted[n] = w.weight[n] * (value[n] - mean);
+        w.variance += w.weighted[n] * (value[n] - mean);
+    }
+    w.mean = middle + mean;
+    return w;
+}
+
+/// 1 - ZNCC of the window and what another view shows of the same plane; kNoCost where that is not all in the picture.
+VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, const StereoWindow& w, const StereoPlane& plane, float u, float v) {
+    constexpr int kReach = (kWindowSide - 1) / 2;
+    constexpr float kStep = static_cast<float>(kWindowStep_px);
+    const float* m = pair.from_pixel;
+    float at[3], across[3], down[3];
+    for (int a = 0; a < 3; ++a) {
+        at[a] = m[3 * a] * u + m[3 * a + 1] * v + m[3 * a + 2] + plane.s * pair.along[a];
+        across[a] = kStep * (m[3 * a] + plane.su * pair.along[a]);
+        down[a] = kStep * (m[3 * a + 1] + plane.sv * pair.along[a]);
+    }
+    float mean = 0.f, square = 0.f, product = 0.f;
+    const float width = static_cast<float>(other.width - 1), height = static_cast<float>(other.height - 1);
+    for (int j = -kReach; j <= kReach; ++j)
+        for (int i = -kReach; i <= kReach; ++i) {
+            const float fi = static_cast<float>(i), fj = static_cast<float>(j);
+            const float z = at[2] + fi * across[2] + fj * down[2];
+            if (!(z > 0.f)) return kNoCost;
+            const float inverse = 1.f / z;
+            const float x = (at[0] + fi * across[0] + fj * down[0]) * inverse - 0.5f, y = (at[1] + fi * across[1] + fj * down[1]) * inverse - 0.5f;
+            if (!(x >= 0.f && y >= 0.f && x < width && y < height)) return kNoCost;
+            const int xi = static_cast<int>(x), yi = static_cast<int>(y);
+            const float a = x - static_cast<float>(xi), b = y - static_cast<float>(yi);
+            const float* p = other.grey + yi * other.width + xi;
+            const float top = p[0] + a * (p[1] - p[0]), bottom = p[other.width] + a * (p[other.width + 1] - p[other.width]);
+            const float value = top + b * (bottom - top) - w.mean;
+            const int n = (j + kReach) * kWindowSide + i + kReach;
+            const float weighted = w.weight[n] * value;
+            mean += weighted;
+            square += weighted * value;
+            product += w.weighted[n] * value;
+        }
+    const float variance = max_f(square - mean * mean, 0.f);
+    return 1.f - product / std::sqrt((w.variance + kLeastVariance) * (variance + kLeastVariance));
+}
+
+/// Mean of the better half of the views' costs (at least two): the others do not see the place, or see it badly.
+VDBCARVE_HD float plane_cost(const StereoReference& r, const StereoWindow& w, const StereoPlane& plane, float u, float v) {
+    float cost[kMostStereoPairs];
+    for (int p = 0; p < r.pairs; ++p) {
+        const float c = pair_cost(r.pair[p], r.other[p], w, plane, u, v);
+        int at = p;
+        for (; at > 0 && cost[at - 1] > c; --at) cost[at] = cost[at - 1];
+        cost[at] = c;
+    }
+    const int half = r.pairs < 4 ? (r.pairs < 2 ? r.pairs : 2) : r.pairs / 2;
+    float sum = 0.f;
+    for (int p = 0; p < half; ++p) sum += cost[p];
+    return sum / static_cast<float>(half);
+}
+
+// ------------------------------------------------------------------------------------ search
+
+/// Numbers that depend on nothing but what they are asked for (Jarzynski and Olano 2020, pcg).
+VDBCARVE_HD uint32_t scrambled(uint32_t x) {
+    x = x * 747796405u + 2891336453u;
+    const uint32_t word = ((x >> ((x >> 28u) + 4u)) ^ x) * 277803737u;
+    return (word >> 22u) ^ word;
+}
+class StereoDice {
+  public:
+    VDBCARVE_HD StereoDice(int view, int pixel, int pass) : state_(scrambled(static_cast<uint32_t>(pixel) ^ scrambled(static_cast<uint32_t>(view) * 64u + static_cast<uint32_t>(pass)))) {}
+    /// -1 to 1.
+    VDBCARVE_HD float throw_one() {
+        state_ = scrambled(state_);
+        return static_cast<float>(state_ >> 8) * (2.f / 16777216.f) - 1.f;
+    }
+
+  private:
+    uint32_t state_;
+};
+
+/// Takes the candidate where it is possible and better.
+VDBCARVE_HD void try_plane(const StereoReference& r, const StereoWindow& w, const StereoRange& range, const StereoPlane& plane, float u, float v, StereoBest& best) {
+    if (!(plane.s >= range.lo && plane.s <= range.hi)) return;
+    if (!(sight_cosine(r.lens, plane_normal(r.lens, plane, u, v), u, v) >= kLeastStereoCosine)) return;
+    const float cost = plane_cost(r, w, plane, u, v);
+    if (cost < best.cost) best = {plane, cost};
+}
+
+VDBCARVE_HD Vec3 tilted(const Vec3& n, StereoDice& dice, float by) {
+    const Vec3 m{n.x + by * dice.throw_one(), n.y + by * dice.throw_one(), n.z + by * dice.throw_one()};
+    const float inverse = 1.f / std::sqrt(max_f(dot(m, m), 1e-12f));
+    return {m.x * inverse, m.y * inverse, m.z * inverse};
+}
+
+inline constexpr int kFirstTries = 6;
+
+/// A pixel's first plane: the hull's own, or one behind it.
+VDBCARVE_HD StereoBest first_plane(const StereoReference& r, int x, int y) {
+    const int at = y * r.image.width + x;
+    StereoBest best{{0.f, 0.f, 0.f}, kNoCost};
+    if (r.hull[at].front == 0.f) return best;
+    const float u = static_cast<float>(x) + 0.5f, v = static_cast<float>(y) + 0.5f;
+    const StereoWindow w = window_at(r, x, y);
+    const StereoRange range = range_of(r, at);
+    StereoDice dice(r.view, at, 0);
+    if (r.coarse && x / 2 < r.coarse_width && y / 2 < r.coarse_height) {
+        const StereoBest& found = r.coarse[y / 2 * r.coarse_width + x / 2];
+        const StereoPlane p = moved(found.plane, x % 2 ? 0.25f : -0.25f, y % 2 ? 0.25f : -0.25f);
+        if (found.cost < kNoCost) try_plane(r, w, range, {p.s, 0.5f * p.su, 0.5f * p.sv}, u, v, best);
+    }
+    for (int n = 0; n < kFirstTries; ++n) {
+        // Most surfaces are near the hull: squares of even numbers lie towards it.
+        const float deep = 0.5f + 0.5f * dice.throw_one();
+        const float s = n == 0 ? r.hull[at].front : r.hull[at].front + deep * deep * (r.hull[at].back - r.hull[at].front);
+        const Vec3 normal = n == 0 ? r.hull[at].normal : tilted(r.hull[at].normal, dice, 0.5f);
+        if (!(sight_cosine(r.lens, normal, u, v) >= kLeastStereoCosine)) {
+            const Vec3 ray = stereo_ray(r.lens, u, v);
+            const float back = -1.f / std::sqrt(dot(ray, ray));
+            try_plane(r, w, range, plane_of_normal(r.lens, {ray.x * back, ray.y * back, ray.z * back}, s, u, v), u, v, best);
+        } else {
+            try_plane(r, w, range, plane_of_normal(r.lens, normal, s, u, v), u, v, best);
+        }
+    }
+    return best;
+}
+
+/// One pass over a pixel: planes of pixels of the other colour of a chessboard, then changes at random, halved from pass to pass. `planes` are those of all pixels.
+VDBCARVE_HD StereoBest better_plane(const StereoReference& r, const StereoBest* planes, int x, int y, int pass) {
+    const int width = r.image.width, at = y * width + x;
+    StereoBest best = planes[at];
+    if (r.hull[at].front == 0.f) return best;
+    const float u = static_cast<float>(x) + 0.5f, v = static_cast<float>(y) + 0.5f;
+    const StereoWindow w = window_at(r, x, y);
+    const StereoRange range = range_of(r, at);
+    for (int n = 0; n < 8; ++n) {
+        const int step = n & 4 ? 5 : 1, side = n & 1 ? step : -step;
+        const int i = n & 2 ? x : x + side, j = n & 2 ? y + side : y;
+        if (i < 0 || j < 0 || i >= width || j >= r.image.height || r.hull[j * width + i].front == 0.f) continue;
+        const StereoBest& theirs = planes[j * width + i];
+        if (theirs.cost >= kNoCost) continue;
+        try_plane(r, w, range, moved(theirs.plane, static_cast<float>(x - i), static_cast<float>(y - j)), u, v, best);
+    }
+    StereoDice dice(r.view, at, pass + 1);
+    float reach = 1.f;
+    for (int n = 0; n < pass; ++n) reach *= 0.5f;
+    for (int n = 0; n < 3; ++n) {
+        if (best.cost >= kNoCost) break;
+        const Vec3 normal = plane_normal(r.lens, best.plane, u, v);
+        // Depth alone, tilt alone, both a little.
+        const float by = n == 2 ? 0.25f * reach : reach;
+        const float s = n == 1 ? best.plane.s : best.plane.s + 0.25f * by * dice.throw_one() * (range.hi - range.lo);
+        const Vec3 turned = n == 0 ? normal : tilted(normal, dice, 0.5f * by);
+        if (sight_cosine(r.lens, turned, u, v) >= kLeastStereoCosine) try_plane(r, w, range, plane_of_normal(r.lens, turned, s, u, v), u, v, best);
+    }
+    return best;
+}
+
+// ------------------------------------------------------------------------------------ trust
+
+/// What a depth has to show for itself. Pixels are of the working size.
+struct StereoTrustRule {
+    float most_cost, least_variance, least_margin;
+    int agreeing;
+    float agreement_px, normal_cosine;
+};
+
+/// How much better the plane is than the best one elsewhere on the line of sight, at least three pixels away in some view: repeated patterns and blank walls have rivals.
+VDBCARVE_HD float margin_to_rivals(const StereoReference& r, const StereoWindow& w, const StereoBest& best, int x, int y) {
+    constexpr int kRivals = 24;
+    constexpr float kApart_px = 3.f;
+    const float u = static_cast<float>(x) + 0.5f, v = static_cast<float>(y) + 0.5f;
+    const StereoRange range = range_of(r, y * r.image.width + x);
+    const Vec3 normal = plane_normal(r.lens, best.plane, u, v);
+    float least = kNoCost;
+    for (int n = 0; n < kRivals; ++n) {
+        const float s = range.lo + (static_cast<float>(n) + 0.5f) / kRivals * (range.hi - range.lo);
+        float apart = 0.f;
+        for (int p = 0; p < r.pairs; ++p) {
+            const float* m = r.pair[p].from_pixel;
+            const float* t = r.pair[p].along;
+            float at[2][3];
+            for (int k = 0; k < 2; ++k)
+                for (int a = 0; a < 3; ++a) at[k][a] = m[3 * a] * u + m[3 * a + 1] * v + m[3 * a + 2] + (k ? s : best.plane.s) * t[a];
+            const float dx = at[0][0] / at[0][2] - at[1][0] / at[1][2], dy = at[0][1] / at[0][2] - at[1][1] / at[1][2];
+            apart = max_f(apart, dx * dx + dy * dy);
+        }
+        if (!(apart > kApart_px * kApart_px)) continue;
+        const float cost = plane_cost(r, w, plane_of_normal(r.lens, normal, s, u, v), u, v);
+        if (cost < least) least = cost;
+    }
+    return least - best.cost;
+}
+
+/// How likely the best plane is the surface, by what its own view and those it was compared with show; 0: not to be trusted.
+VDBCARVE_HD float likelihood(const StereoReference& r, const StereoBest& best, const StereoTrustRule& rule, int x, int y) {
+    if (r.hull[y * r.image.width + x].front == 0.f || !(best.cost < rule.most_cost)) return 0.f;
+    const StereoWindow w = window_at(r, x, y);
+    if (!(w.variance >= rule.least_variance)) return 0.f;
+    return margin_to_rivals(r, w, best, x, y) >= rule.least_margin ? 1.f - best.cost : 0.f;
+}
+
+/// Depths of another view, to agree with.
+struct StereoDepths {
+    const StereoBest* planes;
+    const float* likely;  ///< 0: not to be asked
+    StereoLens lens;
+    int width, height;
+};
+
+/// Whether another view's depth and normal say the same of a reference pixel's place.
+VDBCARVE_HD bool agrees(const StereoReference& r, const StereoPair& pair, const StereoDepths& other, const StereoPlane& plane, const Vec3& normal, const StereoTrustRule& rule, float u, float v) {
+    const float* m = pair.from_pixel;
+    float at[3];
+    for (int a = 0; a < 3; ++a) at[a] = m[3 * a] * u + m[3 * a + 1] * v + m[3 * a + 2] + plane.s * pair.along[a];
+    if (!(at[2] > 0.f)) return false;
+    const float x = at[0] / at[2], y = at[1] / at[2];
+    if (!(x >= 0.f && y >= 0.f && x < static_cast<float>(other.width) && y < static_cast<float>(other.height))) return false;
+    const int i = static_cast<int>(x), j = static_cast<int>(y), n = j * other.width + i;
+    if (!(other.likely[n] > 0.f)) return false;
+    const float there = (pair.depth[0] * u + pair.depth[1] * v + pair.depth[2] + plane.s * pair.depth[3]) / (r.lens.orthographic ? 1.f : plane.s);
+    const float ou = static_cast<float>(i) + 0.5f, ov = static_cast<float>(j) + 0.5f;
+    const float found = depth_of(other.lens, moved(other.planes[n].plane, x - ou, y - ov).s);
+    // How far the place would move in the other picture if the reference's depth were wrong by the difference.
+    const float inverse = 1.f / at[2];
+    const float dx = (pair.along[0] - x * pair.along[2]) * inverse, dy = (pair.along[1] - y * pair.along[2]) * inverse;
+    const float ds = r.lens.orthographic ? found - there : plane.s * (found - there) / found;
+    if (!((dx * dx + dy * dy) * (ds * ds) <= rule.agreement_px * rule.agreement_px)) return false;
+    const Vec3 o = plane_normal(other.lens, other.planes[n].plane, ou, ov);
+    const float* t = pair.turn;
+    const Vec3 turned{t[0] * normal.x + t[1] * normal.y + t[2] * normal.z, t[3] * normal.x + t[4] * normal.y + t[5] * normal.z, t[6] * normal.x + t[7] * normal.y + t[8] * normal.z};
+    return dot(o, turned) >= rule.normal_cosine;
+}
+
+/// A pixel's likelihood where enough other views agree, else 0. `depths` are those of all views.
+VDBCARVE_HD float agreed_likelihood(const StereoReference& r, const StereoDepths* depths, const StereoTrustRule& rule, int x, int y) {
+    const StereoDepths& own = depths[r.view];
+    const int n = y * own.width + x;
+    if (!(own.likely[n] > 0.f)) return 0.f;
+    const float u = static_cast<float>(x) + 0.5f, v = static_cast<float>(y) + 0.5f;
+    const Vec3 normal = plane_normal(r.lens, own.planes[n].plane, u, v);
+    int agreeing = 0;
+    for (int p = 0; p < r.pairs; ++p)
+        if (depths[r.pair[p].view].planes) agreeing += agrees(r, r.pair[p], depths[r.pair[p].view], own.planes[n].plane, normal, rule, u, v);
+    return agreeing >= rule.agreeing ? own.likely[n] : 0.f;
+}
+
+// ------------------------------------------------------------------------------------ fusion
+
+/// A view's trusted depths, for voxels. Borrowed.
+struct FusionView {
+    float pixel_from_index[12];  ///< homogeneous, voxels from the base
+    float depth_from_index[4];   ///< voxels
+    const StereoBest* planes;
+    const float* confidence;     ///< 0: nothing is known
+    StereoLens lens;
+    int width, height;
+    float per_voxel;             ///< 1 / voxel size
+    float weight;                ///< of all its depths
+};
+
+/// What depths say of a place; distances in voxels, outwards.
+struct Fused {
+    float sum = 0.f, weight = 0.f;  ///< of distances, cut at the truncation
+    float nearest_weight = 0.f;     ///< of those within it
+    int views = 0;
+};
+
+/// Adds what one view says of the voxel (i, j, k) from the base: its distance to the plane seen there, at most the truncation; nothing where it lies deeper behind it than `reach_vox`. That reaches
+/// farther than the truncation, so that a view that sees through a thin part does not outvote those that see its surface.
+VDBCARVE_HD void fuse_view(const FusionView& f, float i, float j, float k, float reach_vox, float truncation_vox, Fused& out) {
+    const float* m = f.pixel_from_index;
+    const float w = m[8] * i + m[9] * j + m[10] * k + m[11];
+    if (!(w > 0.f)) return;
+    const float inverse = 1.f / w;
+    const float u = (m[0] * i + m[1] * j + m[2] * k + m[3]) * inverse, v = (m[4] * i + m[5] * j + m[6] * k + m[7]) * inverse;
+    if (!(u >= 0.f && v >= 0.f && u < static_cast<float>(f.width) && v < static_cast<float>(f.height))) return;
+    const int x = static_cast<int>(u), y = static_cast<int>(v), n = y * f.width + x;
+    const float confidence = f.confidence[n];
+    if (!(confidence > 0.f)) return;
+    const float du = u - (static_cast<float>(x) + 0.5f), dv = v - (static_cast<float>(y) + 0.5f);
+    const StereoPlane plane = f.planes[n].plane, here = moved(plane, du, dv);
+    const Vec3 normal = plane_normal(f.lens, plane, u - du, v - dv), ray = stereo_ray(f.lens, u, v);
+    const float z = f.depth_from_index[0] * i + f.depth_from_index[1] * j + f.depth_from_index[2] * k + f.depth_from_index[3];
+    const float distance = (depth_of(f.lens, here.s) * f.per_voxel - z) * -dot(normal, ray);
+    if (!(distance >= -reach_vox)) return;
+    const float weight = f.weight * confidence * sight_cosine(f.lens, normal, u, v);
+    if (!(weight > 0.f)) return;
+    out.sum += weight * min_f(distance, truncation_vox);
+    out.weight += weight;
+    if (distance < truncation_vox) out.nearest_weight += weight;
+    ++out.views;
+}
+
+}  // namespace vdbcarve::kernel

@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/stereo.h"
+
+#include <tbb/parallel_for.h>
+
+#include <chrono>
+#include <cmath>
+
+#include "color_plan.h"
+#include "nanovdb_bytes.h"
+#include "stereo_plan.h"
+#include "vdbcarve/device.h"
+
+namespace vdbcarve {
+namespace {
+
+using kernel::StereoBest;
+using kernel::Vec3;
+
+/// The surface, for rays on the CPU.
+class SeenVolume {
+  public:
+    explicit SeenVolume(const openvdb::FloatGrid& surface) : bytes_(to_nanovdb(surface, false)), frame_(stereo_frame(surface)) {
+        const auto* grid = reinterpret_cast<const nanovdb::NanoGrid<float>*>(bytes_.data.get());
+        const float near = kernel::kNearSurface_vox * static_cast<float>(frame_.voxel_size);
+        near_ = sight_walls(*grid, near);
+        solid_ = sight_walls(*grid, 0.f);
+        view_ = {{grid, near_.data(), near, frame_.base}, {grid, solid_.data(), 0.f, frame_.base}, frame_.box, nullptr, static_cast<float>(frame_.voxel_size)};
+    }
+    const RenderFrame& frame() const { return frame_; }
+    const kernel::RenderVolume& view() const { return view_; }
+    kernel::FieldReader field() const { return {*view_.near.grid, view_.near.base, 1.f / view_.voxel_size}; }
+
+  private:
+    NanoBuffer bytes_;
+    RenderFrame frame_;
+    std::vector<uint64_t> near_, solid_;
+    kernel::RenderVolume view_{};
+};
+
+class Matcher {
+  public:
+    Matcher(const openvdb::FloatGrid& surface, const SeenVolume& volume, const std::vector<StereoSource>& sources, const StereoOptions& options, Progress& progress)
+        : sources_(sources), options_(options), rule_(trust_rule(options.trust)), progress_(progress), volume_(volume), deepest_(options.depth_share * longest_side(surface)), voxel_(surface.voxelSize()[0]) {}
+
+    /// Best planes of a view, and how likely they are by what it was compared with.
+    StereoDepthMap match(size_t v, const StereoLevel* coarser, StereoViewStatistics& statistics) {
+        const StereoSource& s = sources_[v];
+        StereoDepthMap out;
+        statistics.pairs = s.pairs.size();
+        if (s.pairs.empty()) return out;
+        const std::vector<kernel::HullSight> hull = ask_hull(s);
+        kernel::StereoReference reference = stereo_reference(sources_, v, voxel_);
+        reference.image.grey = s.grey.data();
+        for (size_t p = 0; p < s.pairs.size(); ++p) reference.other[p].grey = sources_[static_cast<size_t>(s.pairs[p].view)].grey.data();
+        reference.hull = hull.data();
+        if (coarser) {
+            reference.coarse = coarser->maps[v].planes.data();
+            reference.coarse_width = coarser->sources[v].width;
+            reference.coarse_height = coarser->sources[v].height;
+        }
+        out.planes.resize(s.grey.size());
+        out.confidence.resize(s.grey.size());
+        for_pixels(s, [&](size_t n, int x, int y) { out.planes[n] = kernel::first_plane(reference, x, y); });
+        for (int pass = 0; pass < options_.passes; ++pass)
+            for (const int color : {0, 1})
+                for_pixels(s, [&](size_t n, int x, int y) {
+                    if (((x + y) & 1) == color) out.planes[n] = kernel::better_plane(reference, out.planes.data(), x, y, pass);
+                });
+        for_pixels(s, [&](size_t n, int x, int y) { out.confidence[n] = kernel::likelihood(reference, out.planes[n], rule_, x, y); });
+        for (size_t n = 0; n < hull.size(); ++n) {
+            statistics.object_pixels += hull[n].front != 0.f;
+            statistics.matched_pixels += out.confidence[n] > 0.f;
+        }
+        progress_.step();
+        return out;
+    }
+
+    /// Keeps what other views find, too, away from the silhouettes' rims.
+    void keep_agreed(std::vector<StereoDepthMap>& maps) const {
+        std::vector<kernel::StereoDepths> depths(maps.size());
+        for (size_t v = 0; v < maps.size(); ++v)
+            if (!maps[v].planes.empty()) depths[v] = {maps[v].planes.data(), maps[v].confidence.data(), sources_[v].lens, sources_[v].width, sources_[v].height};
+        std::vector<std::vector<float>> agreed(maps.size());
+        for (size_t v = 0; v < maps.size(); ++v) {
+            if (maps[v].planes.empty()) continue;
+            const kernel::StereoReference reference = stereo_reference(sources_, v, voxel_);
+            agreed[v].resize(maps[v].confidence.size());
+            for_pixels(sources_[v], [&](size_t n, int x, int y) { agreed[v][n] = sources_[v].object[n] < 2 ? 0.f : kernel::agreed_likelihood(reference, depths.data(), rule_, x, y); });
+        }
+        for (size_t v = 0; v < maps.size(); ++v) maps[v].confidence = std::move(agreed[v]);
+    }
+
+  private:
+    template <class Work>
+    void for_pixels(const StereoSource& s, const Work& work) const {
+        progress_.check();
+        tbb::parallel_for(0, s.height, [&](int y) {
+            for (int x = 0; x < s.width; ++x) work(static_cast<size_t>(y) * static_cast<size_t>(s.width) + static_cast<size_t>(x), x, y);
+        });
+    }
+
+    std::vector<kernel::HullSight> ask_hull(const StereoSource& s) const {
+        std::vector<kernel::HullSight> out(s.grey.size(), {0.f, 0.f, {0.f, 0.f, -1.f}});
+        const kernel::HullView view = hull_view(volume_.frame(), s, deepest_);
+        tbb::parallel_for(0, s.height, [&](int y) {
+            kernel::FieldReader field = volume_.field();
+            kernel::SightCells cells(volume_.view().near);
+            for (int x = 0; x < s.width; ++x) {
+                const size_t n = static_cast<size_t>(y) * static_cast<size_t>(s.width) + static_cast<size_t>(x);
+                if (s.object[n]) out[n] = kernel::hull_sight(field, cells, volume_.view(), view, x, y);
+            }
+        });
+        return out;
+    }
+
+    const std::vector<StereoSource>& sources_;
+    const StereoOptions& options_;
+    kernel::StereoTrustRule rule_;
+    Progress& progress_;
+    const SeenVolume& volume_;
+    double deepest_, voxel_;
+};
+
+}  // namespace
+
+StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress) {
+    check_stereo(surface, inputs, options);
+    StereoResult out;
+    const size_t n = inputs.size();
+    out.scale = options.scale ? options.scale : 2;
+    const auto start = std::chrono::steady_clock::now();
+    auto lap = [&, last = start](const char* what) mutable {
+        const auto now = std::chrono::steady_clock::now();
+        add_milliseconds(out, what, std::chrono::duration<double, std::milli>(now - last).count());
+        last = now;
+    };
+    if (options.backend == Backend::Cuda) {
+        DevicePipeline device(options.device);
+        device.set_surface(surface);
+        return device.stereo(surface, inputs, photos, options, progress);
+    }
+    progress.begin("stereo", static_cast<size_t>(options.levels) * n + 1);
+    const SeenVolume volume(surface);
+    lap("hull");
+    std::vector<StereoLevel> levels = stereo_levels(surface, inputs, photos, out.scale, options, [&](StereoLevel& level, const StereoLevel* coarser) {
+        lap("photographs");
+        out.views.assign(n, {});
+        level.maps.resize(n);
+        Matcher matcher(surface, volume, level.sources, options, progress);
+        for (size_t v = 0; v < n; ++v) level.maps[v] = matcher.match(v, coarser, out.views[v]);
+        lap("match");
+        matcher.keep_agreed(level.maps);
+        lap("agree");
+    });
+    finish_stereo(out, surface, std::move(levels), options, progress);
+    return out;
+}
+
+}  // namespace vdbcarve

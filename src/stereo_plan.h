@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// What both backends' stereo starts from. Private.
+#pragma once
+
+#include <functional>
+
+#include "render_plan.h"
+#include "vdbcarve/kernel/stereo.h"
+#include "vdbcarve/stereo.h"
+
+namespace vdbcarve {
+
+/// Throws for what stereo() does not take.
+void check_stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const StereoOptions& options);
+
+/// A view at the working size: everything but what the hull says.
+struct StereoSource {
+    Camera camera;                 ///< of the working size
+    kernel::StereoLens lens{};
+    int width = 0, height = 0;     ///< 0: the view is not used
+    std::vector<float> grey;
+    std::vector<uint8_t> object;   ///< 1: of the object; 2: and not near its rim
+    std::vector<kernel::StereoPair> pairs;
+};
+
+/// Trusted depths of one view, for the fusion.
+struct StereoDepthMap {
+    std::vector<kernel::StereoBest> planes;
+    std::vector<float> confidence;
+};
+
+/// All views at one working size, and what was found. The finest level first; each is half the size of the one before.
+struct StereoLevel {
+    int scale;  ///< pixels of a photograph a side of one of these
+    std::vector<StereoSource> sources;
+    std::vector<StereoDepthMap> maps;
+};
+
+/// Calls match(level, coarser level or null) for each, coarsest first. What a finer level trusts replaces what a coarser one does.
+std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& options, const std::function<void(StereoLevel&, const StereoLevel*)>& match);
+
+/// Before photographs and the hull's answers are in place: those pointers are null.
+kernel::StereoReference stereo_reference(const std::vector<StereoSource>& sources, size_t view, double voxel_size);
+
+/// The way of a plane's points from one picture into another.
+kernel::StereoPair stereo_pair(const Camera& from, const Camera& to, int view);
+
+/// How the hull is asked about a view.
+kernel::HullView hull_view(const RenderFrame& frame, const StereoSource& source, double deepest_world);
+
+/// Fuses, re-distances and measures; the rest of what stereo() returns.
+void finish_stereo(StereoResult& result, const openvdb::FloatGrid& surface, std::vector<StereoLevel>&& levels, const StereoOptions& options, Progress& progress);
+
+/// Steps of one name are summed.
+void add_milliseconds(StereoResult& result, const std::string& step, double milliseconds);
+
+/// Where the surface lies, for rays.
+RenderFrame stereo_frame(const openvdb::FloatGrid& surface);
+
+/// The largest extent of the surface's inside along an axis, world units.
+double longest_side(const openvdb::FloatGrid& surface);
+
+kernel::StereoTrustRule trust_rule(const StereoTrust& trust);
+
+/// Carves the surface by the maps. The fused field is not a level set yet.
+struct FusedSurface {
+    openvdb::FloatGrid::Ptr surface, confidence;
+    bool carved = false;  ///< else the surface is the one given
+};
+FusedSurface fuse_depths(const openvdb::FloatGrid& surface, const std::vector<StereoLevel>& levels, const StereoOptions& options, Progress& progress);
+
+}  // namespace vdbcarve
