@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "grid_cuda.h"
-#include "vdbcarve/kernel/stereo.h"
+#include "vdbcarve/kernel/stereo_hull.h"
 
 namespace vdbcarve::cuda {
 

@@ -10,6 +10,7 @@
 #include "nanovdb_bytes.h"
 #include "stereo_plan.h"
 #include "vdbcarve/device.h"
+#include "vector_loops.h"
 
 namespace vdbcarve {
 namespace {
@@ -61,13 +62,11 @@ class Matcher {
         }
         out.planes.resize(s.grey.size());
         out.confidence.resize(s.grey.size());
-        for_pixels(s, [&](size_t n, int x, int y) { out.planes[n] = kernel::first_plane(reference, x, y); });
+        const VectorLoops& loops = vector_loops();
+        for_rows(s, [&](int y) { loops.first_planes(reference, y, out.planes.data()); });
         for (int pass = 0; pass < options_.passes; ++pass)
-            for (const int color : {0, 1})
-                for_pixels(s, [&](size_t n, int x, int y) {
-                    if (((x + y) & 1) == color) out.planes[n] = kernel::better_plane(reference, out.planes.data(), x, y, pass);
-                });
-        for_pixels(s, [&](size_t n, int x, int y) { out.confidence[n] = kernel::likelihood(reference, out.planes[n], rule_, x, y); });
+            for (const int color : {0, 1}) for_rows(s, [&](int y) { loops.better_planes(reference, y, pass, color, out.planes.data()); });
+        for_rows(s, [&](int y) { loops.likelihoods(reference, rule_, y, out.planes.data(), out.confidence.data()); });
         for (size_t n = 0; n < hull.size(); ++n) {
             statistics.object_pixels += hull[n].front != 0.f;
             statistics.matched_pixels += out.confidence[n] > 0.f;
@@ -86,18 +85,22 @@ class Matcher {
             if (maps[v].planes.empty()) continue;
             const kernel::StereoReference reference = stereo_reference(sources_, v, voxel_);
             agreed[v].resize(maps[v].confidence.size());
-            for_pixels(sources_[v], [&](size_t n, int x, int y) { agreed[v][n] = sources_[v].object[n] < 2 ? 0.f : kernel::agreed_likelihood(reference, depths.data(), rule_, x, y); });
+            const StereoSource& s = sources_[v];
+            for_rows(s, [&](int y) {
+                for (int x = 0; x < s.width; ++x) {
+                    const size_t n = static_cast<size_t>(y) * static_cast<size_t>(s.width) + static_cast<size_t>(x);
+                    agreed[v][n] = s.object[n] < 2 ? 0.f : kernel::agreed_likelihood(reference, depths.data(), rule_, x, y);
+                }
+            });
         }
         for (size_t v = 0; v < maps.size(); ++v) maps[v].confidence = std::move(agreed[v]);
     }
 
   private:
     template <class Work>
-    void for_pixels(const StereoSource& s, const Work& work) const {
+    void for_rows(const StereoSource& s, const Work& work) const {
         progress_.check();
-        tbb::parallel_for(0, s.height, [&](int y) {
-            for (int x = 0; x < s.width; ++x) work(static_cast<size_t>(y) * static_cast<size_t>(s.width) + static_cast<size_t>(x), x, y);
-        });
+        tbb::parallel_for(0, s.height, work);
     }
 
     std::vector<kernel::HullSight> ask_hull(const StereoSource& s) const {

@@ -5,7 +5,7 @@
 #include <functional>
 
 #include "render_plan.h"
-#include "vdbcarve/kernel/stereo.h"
+#include "vdbcarve/kernel/stereo_hull.h"
 #include "vdbcarve/stereo.h"
 
 namespace vdbcarve {

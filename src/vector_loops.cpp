@@ -13,6 +13,7 @@
 #include "vdbcarve/kernel/distance.h"
 #include "vdbcarve/kernel/filter.h"
 #include "vdbcarve/kernel/level_set.h"
+#include "vdbcarve/kernel/stereo.h"
 
 namespace vdbcarve {
 namespace {
@@ -380,6 +381,21 @@ void filter_leaf(const FilterPass& pass, const float* halo, float band_vox, floa
     }
 }
 
+void first_planes(const StereoReference& reference, int y, StereoBest* planes) {
+    for (int x = 0; x < reference.image.width; ++x) planes[y * reference.image.width + x] = first_plane(reference, x, y);
+}
+
+void better_planes(const StereoReference& reference, int y, int pass, int color, StereoBest* planes) {
+    for (int x = (y + color) & 1; x < reference.image.width; x += 2) planes[y * reference.image.width + x] = better_plane(reference, planes, x, y, pass);
+}
+
+void likelihoods(const StereoReference& reference, const StereoTrustRule& rule, int y, const StereoBest* planes, float* out) {
+    for (int x = 0; x < reference.image.width; ++x) {
+        const int n = y * reference.image.width + x;
+        out[n] = likelihood(reference, planes[n], rule, x, y);
+    }
+}
+
 }  // namespace
 
 #define VDBCARVE_STRING2(x) #x
@@ -389,7 +405,7 @@ void filter_leaf(const FilterPass& pass, const float* halo, float band_vox, floa
 
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)();
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)() {
-    static constexpr VectorLoops kLoops{VDBCARVE_STRING(VDBCARVE_ISA), raise_leaf, window_distance, measure_leaf, redistance_leaf, filter_leaf};
+    static constexpr VectorLoops kLoops{VDBCARVE_STRING(VDBCARVE_ISA), raise_leaf, window_distance, measure_leaf, redistance_leaf, filter_leaf, first_planes, better_planes, likelihoods};
     return kLoops;
 }
 

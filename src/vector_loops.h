@@ -11,6 +11,7 @@
 #include "vdbcarve/kernel/carve.h"
 #include "vdbcarve/kernel/distance.h"
 #include "vdbcarve/kernel/filter.h"
+#include "vdbcarve/kernel/stereo.h"
 
 namespace vdbcarve {
 
@@ -61,6 +62,10 @@ struct VectorLoops {
     /// One pass of a filter over a leaf (kernel/filter.h). `halo` is kFilterHalo^3 values, the leaf from kMostFilterWidth on; what the pass
     /// does not reach may be anything.
     void (*filter_leaf)(const kernel::FilterPass& pass, const float* halo, float band_vox, float* out);
+    /// kernel::first_plane of a row of pixels; kernel::better_plane of every second one, those where x + y is even (color 0) or odd; kernel::likelihood.
+    void (*first_planes)(const kernel::StereoReference& reference, int y, kernel::StereoBest* planes);
+    void (*better_planes)(const kernel::StereoReference& reference, int y, int pass, int color, kernel::StereoBest* planes);
+    void (*likelihoods)(const kernel::StereoReference& reference, const kernel::StereoTrustRule& rule, int y, const kernel::StereoBest* planes, float* out);
 };
 
 inline size_t window_scratch(int width, int height) { return static_cast<size_t>(width + 144) * static_cast<size_t>(height + 8) * 4 + 2 * kernel::kMaxReach_px + 128; }

@@ -44,6 +44,7 @@ struct FieldView {
 struct Vec3 {
     float x, y, z;
 };
+VDBCARVE_HD float dot(const Vec3& a, const Vec3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
 /// From camera space to the image. Pixels are those of the field, which may be coarser than the photograph's
 /// (DistanceOptions::scale).

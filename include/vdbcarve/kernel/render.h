@@ -73,7 +73,6 @@ struct Shade {
     float alpha = 0.f;
 };
 
-VDBCARVE_HD float dot(const Vec3& a, const Vec3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 VDBCARVE_HD Rgb times(float w, const Rgb& c) { return {w * c.r, w * c.g, w * c.b}; }
 
 /// A level set's values about the base.

@@ -12,7 +12,8 @@
 
 #include <cstdint>
 
-#include "vdbcarve/kernel/render.h"
+#include "vdbcarve/kernel/carve.h"
+#include "vdbcarve/kernel/min_max.h"
 
 namespace vdbcarve::kernel {
 
@@ -93,53 +94,13 @@ VDBCARVE_HD StereoPlane moved(const StereoPlane& p, float du, float dv) { return
 
 VDBCARVE_HD float depth_of(const StereoLens& lens, float s) { return lens.orthographic ? s : 1.f / s; }
 
-// ------------------------------------------------------------------------------------ the hull
+// ------------------------------------------------------------------------------------ a view and those it is compared with
 
-/// What it takes to ask the hull about a view's pixels.
-struct HullView {
-    RenderRule rays;
-    double depth[4];     ///< along the camera's z, world units: depth[0..2] (voxels from the base) + depth[3]
-    double normal[9];    ///< camera axes from world axes
-    double deepest;      ///< the search ends so far behind the first surface, world units
-    bool orthographic;
-};
-
+/// What the hull says of a line of sight.
 struct HullSight {
     float front, back;  ///< s; 0: there is no hull
     Vec3 normal;        ///< towards the camera, camera space
 };
-
-/// First surface, and last or deepest, on a pixel's line of sight.
-VDBCARVE_HD HullSight hull_sight(FieldReader& field, SightCells& cells, const RenderVolume& volume, const HullView& view, int x, int y) {
-    HullSight out{0.f, 0.f, {0.f, 0.f, -1.f}};
-    PixelRay ray = pixel_ray(view.rays, volume.box, x + 0.5, y + 0.5);
-    if (!ray.hits) return out;
-    const Vec3 back{-ray.direction.x, -ray.direction.y, -ray.direction.z};
-    Vec3 place[2];  // once from before, once from behind
-    for (int n = 0; n < 2; ++n) {
-        if (n == 1) {
-            const CellWalk walk(volume.box, ray.start, ray.direction, kFarthest_vox);
-            ray.start = along(ray.start, walk.end, ray.direction);
-            ray.direction = back;
-        }
-        if (!find_surface(field, cells, volume, ray, 0.f, place[n])) {
-            if (n == 0) return out;
-            place[1] = place[0];
-        }
-    }
-    double z[2];
-    for (int n = 0; n < 2; ++n) z[n] = view.depth[0] * static_cast<double>(place[n].x) + view.depth[1] * static_cast<double>(place[n].y) + view.depth[2] * static_cast<double>(place[n].z) + view.depth[3];
-    if (!(view.orthographic || z[0] > 0.0)) return out;
-    if (z[1] > z[0] + view.deepest) z[1] = z[0] + view.deepest;
-    if (!(z[1] > z[0])) z[1] = z[0];
-    out.front = static_cast<float>(view.orthographic ? z[0] : 1.0 / z[0]);
-    out.back = static_cast<float>(view.orthographic ? z[1] : 1.0 / z[1]);
-    const Vec3 n = field.normal(place[0].x, place[0].y, place[0].z, back);
-    const double* r = view.normal;
-    const auto row = [&](int a) { return static_cast<float>(r[3 * a] * static_cast<double>(n.x) + r[3 * a + 1] * static_cast<double>(n.y) + r[3 * a + 2] * static_cast<double>(n.z)); };
-    out.normal = {row(0), row(1), row(2)};
-    return out;
-}
 
 /// A plane and what it costs.
 struct StereoBest {
@@ -212,6 +173,12 @@ VDBCARVE_HD StereoWindow window_at(const StereoReference& r, int x, int y) {
     return w;
 }
 
+#if !defined(__CUDA_ARCH__)
+/// Steps to a window's samples.
+constexpr float kAcross[kWindowSamples] = {-2, -1, 0, 1, 2, -2, -1, 0, 1, 2, -2, -1, 0, 1, 2, -2, -1, 0, 1, 2, -2, -1, 0, 1, 2};
+constexpr float kDown[kWindowSamples] = {-2, -2, -2, -2, -2, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2};
+#endif
+
 /// 1 - ZNCC of the window and what another view shows of the same plane; kNoCost where that is not all in the picture.
 VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, const StereoWindow& w, const StereoPlane& plane, float u, float v) {
     constexpr int kReach = (kWindowSide - 1) / 2;
@@ -225,25 +192,53 @@ VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, co
     }
     float mean = 0.f, square = 0.f, product = 0.f;
     const float width = static_cast<float>(other.width - 1), height = static_cast<float>(other.height - 1);
-    for (int j = -kReach; j <= kReach; ++j)
-        for (int i = -kReach; i <= kReach; ++i) {
-            const float fi = static_cast<float>(i), fj = static_cast<float>(j);
-            const float z = at[2] + fi * across[2] + fj * down[2];
-            if (!(z > 0.f)) return kNoCost;
-            const float inverse = 1.f / z;
-            const float x = (at[0] + fi * across[0] + fj * down[0]) * inverse - 0.5f, y = (at[1] + fi * across[1] + fj * down[1]) * inverse - 0.5f;
-            if (!(x >= 0.f && y >= 0.f && x < width && y < height)) return kNoCost;
-            const int xi = static_cast<int>(x), yi = static_cast<int>(y);
-            const float a = x - static_cast<float>(xi), b = y - static_cast<float>(yi);
-            const float* p = other.grey + yi * other.width + xi;
-            const float top = p[0] + a * (p[1] - p[0]), bottom = p[other.width] + a * (p[other.width + 1] - p[other.width]);
-            const float value = top + b * (bottom - top) - w.mean;
-            const int n = (j + kReach) * kWindowSide + i + kReach;
-            const float weighted = w.weight[n] * value;
-            mean += weighted;
-            square += weighted * value;
-            product += w.weighted[n] * value;
-        }
+#if defined(__CUDA_ARCH__)
+    for (int n = 0; n < kWindowSamples; ++n) {
+        const float fi = static_cast<float>(n % kWindowSide - kReach), fj = static_cast<float>(n / kWindowSide - kReach);
+        const float z = at[2] + fi * across[2] + fj * down[2];
+        const float inverse = 1.f / z;
+        const float x = (at[0] + fi * across[0] + fj * down[0]) * inverse - 0.5f, y = (at[1] + fi * across[1] + fj * down[1]) * inverse - 0.5f;
+        if (!(z > 0.f && x >= 0.f && y >= 0.f && x < width && y < height)) return kNoCost;
+        const int xi = static_cast<int>(x), yi = static_cast<int>(y);
+        const float a = x - static_cast<float>(xi), b = y - static_cast<float>(yi);
+        const float* p = other.grey + yi * other.width + xi;
+        const float top = p[0] + a * (p[1] - p[0]), bottom = p[other.width] + a * (p[other.width + 1] - p[other.width]);
+        const float value = top + b * (bottom - top) - w.mean;
+        const float weighted = w.weight[n] * value;
+        mean += weighted;
+        square += weighted * value;
+        product += w.weighted[n] * value;
+    }
+#else
+    // The same in loops that become vectors; the sums stay in order.
+    float xs[kWindowSamples], ys[kWindowSamples], values[kWindowSamples];
+    int outside = 0;
+    for (int n = 0; n < kWindowSamples; ++n) {
+        const float fi = kAcross[n], fj = kDown[n];
+        const float z = at[2] + fi * across[2] + fj * down[2];
+        const float inverse = 1.f / z;
+        const float x = (at[0] + fi * across[0] + fj * down[0]) * inverse - 0.5f, y = (at[1] + fi * across[1] + fj * down[1]) * inverse - 0.5f;
+        outside |= static_cast<int>(!(z > 0.f)) | static_cast<int>(!(x >= 0.f)) | static_cast<int>(!(y >= 0.f)) | static_cast<int>(!(x < width)) | static_cast<int>(!(y < height));
+        xs[n] = x;
+        ys[n] = y;
+    }
+    if (outside) return kNoCost;
+    const float* const grey = other.grey;
+    const int stride = other.width;
+    for (int n = 0; n < kWindowSamples; ++n) {
+        const int xi = static_cast<int>(xs[n]), yi = static_cast<int>(ys[n]);
+        const float a = xs[n] - static_cast<float>(xi), b = ys[n] - static_cast<float>(yi);
+        const int first = yi * stride + xi;
+        const float top = grey[first] + a * (grey[first + 1] - grey[first]), bottom = grey[first + stride] + a * (grey[first + stride + 1] - grey[first + stride]);
+        values[n] = top + b * (bottom - top) - w.mean;
+    }
+    for (int n = 0; n < kWindowSamples; ++n) {
+        const float weighted = w.weight[n] * values[n];
+        mean += weighted;
+        square += weighted * values[n];
+        product += w.weighted[n] * values[n];
+    }
+#endif
     const float variance = max_f(square - mean * mean, 0.f);
     return 1.f - product / std::sqrt((w.variance + kLeastVariance) * (variance + kLeastVariance));
 }
@@ -271,18 +266,15 @@ VDBCARVE_HD uint32_t scrambled(uint32_t x) {
     const uint32_t word = ((x >> ((x >> 28u) + 4u)) ^ x) * 277803737u;
     return (word >> 22u) ^ word;
 }
-class StereoDice {
-  public:
-    VDBCARVE_HD StereoDice(int view, int pixel, int pass) : state_(scrambled(static_cast<uint32_t>(pixel) ^ scrambled(static_cast<uint32_t>(view) * 64u + static_cast<uint32_t>(pass)))) {}
-    /// -1 to 1.
-    VDBCARVE_HD float throw_one() {
-        state_ = scrambled(state_);
-        return static_cast<float>(state_ >> 8) * (2.f / 16777216.f) - 1.f;
-    }
-
-  private:
-    uint32_t state_;
+struct StereoDice {
+    uint32_t state;
 };
+VDBCARVE_HD StereoDice dice_of(int view, int pixel, int pass) { return {scrambled(static_cast<uint32_t>(pixel) ^ scrambled(static_cast<uint32_t>(view) * 64u + static_cast<uint32_t>(pass)))}; }
+/// -1 to 1.
+VDBCARVE_HD float thrown(StereoDice& dice) {
+    dice.state = scrambled(dice.state);
+    return static_cast<float>(dice.state >> 8) * (2.f / 16777216.f) - 1.f;
+}
 
 /// Takes the candidate where it is possible and better.
 VDBCARVE_HD void try_plane(const StereoReference& r, const StereoWindow& w, const StereoRange& range, const StereoPlane& plane, float u, float v, StereoBest& best) {
@@ -293,7 +285,7 @@ VDBCARVE_HD void try_plane(const StereoReference& r, const StereoWindow& w, cons
 }
 
 VDBCARVE_HD Vec3 tilted(const Vec3& n, StereoDice& dice, float by) {
-    const Vec3 m{n.x + by * dice.throw_one(), n.y + by * dice.throw_one(), n.z + by * dice.throw_one()};
+    const Vec3 m{n.x + by * thrown(dice), n.y + by * thrown(dice), n.z + by * thrown(dice)};
     const float inverse = 1.f / std::sqrt(max_f(dot(m, m), 1e-12f));
     return {m.x * inverse, m.y * inverse, m.z * inverse};
 }
@@ -308,7 +300,7 @@ VDBCARVE_HD StereoBest first_plane(const StereoReference& r, int x, int y) {
     const float u = static_cast<float>(x) + 0.5f, v = static_cast<float>(y) + 0.5f;
     const StereoWindow w = window_at(r, x, y);
     const StereoRange range = range_of(r, at);
-    StereoDice dice(r.view, at, 0);
+    StereoDice dice = dice_of(r.view, at, 0);
     if (r.coarse && x / 2 < r.coarse_width && y / 2 < r.coarse_height) {
         const StereoBest& found = r.coarse[y / 2 * r.coarse_width + x / 2];
         const StereoPlane p = moved(found.plane, x % 2 ? 0.25f : -0.25f, y % 2 ? 0.25f : -0.25f);
@@ -316,7 +308,7 @@ VDBCARVE_HD StereoBest first_plane(const StereoReference& r, int x, int y) {
     }
     for (int n = 0; n < kFirstTries; ++n) {
         // Most surfaces are near the hull: squares of even numbers lie towards it.
-        const float deep = 0.5f + 0.5f * dice.throw_one();
+        const float deep = 0.5f + 0.5f * thrown(dice);
         const float s = n == 0 ? r.hull[at].front : r.hull[at].front + deep * deep * (r.hull[at].back - r.hull[at].front);
         const Vec3 normal = n == 0 ? r.hull[at].normal : tilted(r.hull[at].normal, dice, 0.5f);
         if (!(sight_cosine(r.lens, normal, u, v) >= kLeastStereoCosine)) {
@@ -346,7 +338,7 @@ VDBCARVE_HD StereoBest better_plane(const StereoReference& r, const StereoBest* 
         if (theirs.cost >= kNoCost) continue;
         try_plane(r, w, range, moved(theirs.plane, static_cast<float>(x - i), static_cast<float>(y - j)), u, v, best);
     }
-    StereoDice dice(r.view, at, pass + 1);
+    StereoDice dice = dice_of(r.view, at, pass + 1);
     float reach = 1.f;
     for (int n = 0; n < pass; ++n) reach *= 0.5f;
     for (int n = 0; n < 3; ++n) {
@@ -354,7 +346,7 @@ VDBCARVE_HD StereoBest better_plane(const StereoReference& r, const StereoBest* 
         const Vec3 normal = plane_normal(r.lens, best.plane, u, v);
         // Depth alone, tilt alone, both a little.
         const float by = n == 2 ? 0.25f * reach : reach;
-        const float s = n == 1 ? best.plane.s : best.plane.s + 0.25f * by * dice.throw_one() * (range.hi - range.lo);
+        const float s = n == 1 ? best.plane.s : best.plane.s + 0.25f * by * thrown(dice) * (range.hi - range.lo);
         const Vec3 turned = n == 0 ? normal : tilted(normal, dice, 0.5f * by);
         if (sight_cosine(r.lens, turned, u, v) >= kLeastStereoCosine) try_plane(r, w, range, plane_of_normal(r.lens, turned, s, u, v), u, v, best);
     }
