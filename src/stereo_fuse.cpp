@@ -7,6 +7,7 @@
 #include "color_plan.h"
 #include "inside_tiles.h"
 #include "same_transform.h"
+#include "statistics.h"
 #include "stereo_plan.h"
 #include "vector_loops.h"
 
@@ -16,6 +17,20 @@ namespace {
 using Leaf = openvdb::FloatTree::LeafNodeType;
 
 constexpr int kCell_px = 8;
+
+/// The larger of hull and depth is what is left, so that noise of depths would eat into a hull that is right. Where they nearly agree the hull is: near it depths have to say more by a pixel of the object, which is how far they may be off.
+constexpr double kHullMargin_px = 1, kMostHullMargin_vox = 1.5;
+
+/// How much of the object a pixel covers, world units; median of the views.
+double pixel_on_object(const std::vector<StereoSource>& sources, const Vec3d& object) {
+    std::vector<double> out;
+    for (const StereoSource& s : sources) {
+        if (s.pairs.empty()) continue;
+        const Intrinsics& k = s.camera.intrinsics;
+        out.push_back((k.orthographic ? 1 : std::max((s.camera.camera_from_world * object).z(), 0.0)) / std::sqrt(k.fx * k.fy));
+    }
+    return out.empty() ? 0 : median(out);
+}
 
 /// A view's depths, and how far away the farthest trusted one of every cell of pixels is: blocks behind it need not be asked about.
 struct View {
@@ -115,6 +130,9 @@ FusedSurface fuse_depths(const openvdb::FloatGrid& surface, const std::vector<St
     });
     std::erase_if(views, [](const View& v) { return v.farthest_vox.empty(); });
 
+    const openvdb::CoordBBox box = leaf_box(surface);
+    const openvdb::Vec3d middle = surface.indexToWorld(0.5 * (box.min().asVec3d() + box.max().asVec3d()));
+    const auto hull_margin = static_cast<float>(std::min(kMostHullMargin_vox, kHullMargin_px * pixel_on_object(levels.front().sources, Vec3d(middle[0], middle[1], middle[2])) / frame.voxel_size));
     const std::vector<openvdb::Coord> blocks = blocks_of(surface.tree());
     const auto voxel = static_cast<float>(frame.voxel_size), band = surface.background();
     const auto truncation = static_cast<float>(options.truncation_vox), reach = static_cast<float>(std::max(2 * options.truncation_vox, options.reach_share * longest_side(surface) / frame.voxel_size)), full = static_cast<float>(options.least_weight);
@@ -147,7 +165,8 @@ FusedSurface fuse_depths(const openvdb::FloatGrid& surface, const std::vector<St
                 const float trust = std::clamp(2.f * fused.weight / full - 1.f, 0.f, 1.f);
                 confidence[static_cast<size_t>(at)] = std::min(1.f, 0.5f * fused.nearest_weight / full);
                 known = known || confidence[static_cast<size_t>(at)] > 0.f;
-                const float distance = (trust * (fused.sum / fused.weight) - (1.f - trust) * truncation) * voxel;
+                const float near_hull = std::clamp(1.f + before / band, 0.f, 1.f);
+                const float distance = (trust * (fused.sum / fused.weight) - (1.f - trust) * truncation - hull_margin * near_hull) * voxel;
                 if (distance <= before) continue;
                 values[static_cast<size_t>(at)] = std::clamp(distance, -band, band);
                 changed = true;

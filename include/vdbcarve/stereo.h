@@ -36,7 +36,7 @@ struct StereoOptions {
     double depth_share = 0.35;        ///< the search ends so far behind the hull's front, of the object's longest side
     StereoTrust trust;
     double truncation_vox = 2;        ///< of distances before a depth
-    double reach_share = 0.018;       ///< so far behind it a depth is evidence of the object, of its longest side; at least two truncations
+    double reach_share = 0.01;        ///< so far behind it a depth is evidence of the object, of its longest side; at least two truncations
     double coarser_weight = 0.25;      ///< of a level's depths against those of the finer one
     double least_weight = 0.8;        ///< confidence x cosine, summed over views, from which on depths count as much as the hull
     double least_piece = 0.01;        ///< loose pieces of less than this share of the piece of the hull that they were part of are dropped
