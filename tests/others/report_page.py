@@ -45,9 +45,9 @@ def pixels(file):
     return rows
 
 
-def shot(html, name, width, height):
+def shot(html, name, width, height, budget_ms=20000):
     out = folder / f"{name}.png"
-    said = subprocess.run([chromium, "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--virtual-time-budget=20000", "--enable-logging=stderr", "--hide-scrollbars",
+    said = subprocess.run([chromium, "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--virtual-time-budget={budget_ms}", "--enable-logging=stderr", "--hide-scrollbars",
                            f"--user-data-dir={folder}/browser", f"--window-size={width},{height}", f"--screenshot={out}", html.resolve().as_uri()], capture_output=True, text=True, timeout=300)
     console = [line for line in said.stderr.splitlines() if "CONSOLE" in line]
     assert not console, console[:3]
@@ -59,6 +59,13 @@ text = page.read_text()
 assert "model-viewer" in text, "built without the viewer"
 bare = re.sub(r' poster="data:[^"]*"', "", text)
 assert bare != text
+
+
+def drawn_pixels(view):
+    background = view[len(view) // 2][2]
+    return sum(max(abs(p[c] - background[c]) for c in range(3)) > 12 for row in view for p in row)
+
+
 for name, width, height in (("wide", 1200, 1000), ("narrow", 400, 900)):
     # The viewer alone, on a plain page: all that is seen is drawn by it.
     views = []
@@ -67,9 +74,13 @@ for name, width, height in (("wide", 1200, 1000), ("narrow", 400, 900)):
         head = bare[:bare.index("</head><body>")] + "</head>"
         alone = folder / f"{name}_model.html"
         alone.write_text(f'{head}<body style="background:#fff">{viewer}</body></html>')
-        views.append(shot(alone, f"{name}_model_{len(views)}", width, height))
-    background = views[0][height // 2][2]
-    drawn = [sum(max(abs(p[c] - background[c]) for c in range(3)) > 12 for row in view for p in row) for view in views]
+        # The browser's clock runs on while a busy machine is still decoding the model: then it is given more of it.
+        for budget_ms in (20000, 60000, 180000):
+            view = shot(alone, f"{name}_model_{len(views)}", width, height, budget_ms)
+            if drawn_pixels(view) > 0.02 * width * height:
+                break
+        views.append(view)
+    drawn = [drawn_pixels(view) for view in views]
     moved = sum(max(abs(a[c] - b[c]) for c in range(3)) > 12 for x, y in zip(*views) for a, b in zip(x, y))
     colors = len({p for row in views[0] for p in row})
     print(f"{name}: {drawn} pixels drawn, {moved} of them change as it turns, {colors} colours")
