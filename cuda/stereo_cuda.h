@@ -2,6 +2,7 @@
 // Depths on the device: kernel/stereo.h, a thread a pixel.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <vector>
@@ -24,20 +25,45 @@ class StereoStage {
     StereoStage();
     ~StereoStage();
 
-    /// The pixels to the device, and what lines of sight need of the grid. `after_coarser`: what was matched last was of half this size, and is begun with.
-    void begin(const std::vector<StereoPixels>& views, bool after_coarser, const Grid& grid, const kernel::ColorBase& base, const kernel::SightBox& box, const Stream& stream, StageTimes& times);
+    /// What lines of sight need of the grid, which has to stay where it is.
+    void set_hull(const Grid& grid, const kernel::ColorBase& base, const kernel::SightBox& box, const Stream& stream, StageTimes& times);
 
-    /// Best planes of a view and their likelihoods, which stay on the device. `reference` comes without pointers. `hull_pixels` of the view's pixels see the hull.
-    void match(kernel::StereoReference reference, const kernel::HullView& hull, int passes, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);
+    /// The pixels of a size of photographs to the device, coarsest first, where what is found of it stays. `after_coarser`: level + 1 is there, of half this size, and is begun with.
+    void begin(size_t level, const std::vector<StereoPixels>& views, bool after_coarser, const Stream& stream, StageTimes& times);
+
+    struct Work {
+        kernel::StereoReference reference;  ///< without pointers
+        kernel::HullView hull;
+    };
+    /// Best planes of views and their likelihoods, which stay on the device. Several views at a time, for one of a coarse level does not fill the device.
+    void match(const std::vector<Work>& views, int passes, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);
 
     /// Likelihoods of what other views of those matched find, too; 0 elsewhere.
-    void agree(const std::vector<kernel::StereoReference>& references, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);
+    void agree(const std::vector<Work>& views, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);
 
-    /// Device memory, of one view.
-    const kernel::StereoBest* planes(size_t view) const;
-    const float* agreed(size_t view) const;
-    /// Pixels that see the hull, and those that have a likelihood, of all views (two numbers each); waits for the device.
+    /// Depths that level + 1 is trusted with, but those where this level has one.
+    void leave_to_finer(size_t level, const Stream& stream, StageTimes& times);
+
+    /// Pixels that see the hull, and those that have a likelihood, of all views of the level begun last (two numbers each); waits for the device.
     std::vector<uint32_t> counts(const Stream& stream) const;
+
+    /// Blocks of 8^3 that the depths say something of, in no order.
+    struct Fused {
+        uint32_t count;
+        const uint32_t* block;              ///< device memory, as what follows
+        const float *values, *confidence;   ///< 512 of each
+    };
+    /// A view of a level, for the fusion; `fusion` comes without pointers.
+    struct FusedView {
+        size_t level, view;
+        kernel::FusionView fusion;
+    };
+    /// Asks all views about every voxel of the blocks, whose first voxels are given. Waits for the device.
+    Fused fuse(const kernel::FusionRule& rule, const std::vector<FusedView>& views, const std::vector<std::array<int, 3>>& blocks, const Stream& stream, StageTimes& times);
+
+    /// Trusted depths of a view of the finest level, 0 elsewhere, and confidences: device memory, until the next call.
+    const float* depths(size_t view, const Stream& stream, StageTimes& times);
+    const float* confidence(size_t view) const;
 
     size_t bytes() const;
 

@@ -46,6 +46,7 @@ class Event {
     ~Event() {
         if (event_) cudaEventDestroy(event_);
     }
+    cudaEvent_t get() const { return event_; }
     void record(const Stream& stream) const { VDBCARVE_CUDA(cudaEventRecord(event_, stream.get())); }
     void wait() const { VDBCARVE_CUDA(cudaEventSynchronize(event_)); }
     float milliseconds_since(const Event& before) const {

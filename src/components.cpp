@@ -72,7 +72,9 @@ Pieces::Pieces(const openvdb::FloatGrid& surface, bool inside) : tree_(surface.t
         y = root_of(y);
         if (x != y) parent_[std::max(x, y)] = std::min(x, y);
     };
-    for (size_t n = 0; n < count; ++n) {
+    // What touches across the leaves' faces, found side by side and joined one by one.
+    std::vector<std::vector<std::pair<uint32_t, uint32_t>>> touching(count);
+    tbb::parallel_for(size_t{0}, count, [&](size_t n) {
         const float* values = leaves_[n]->buffer().data();
         const uint8_t* mine = labels_.data() + n * kVoxels;
         const auto is_ours = [&](float v) { return (v < 0.f) == inside_; };
@@ -88,16 +90,18 @@ Pieces::Pieces(const openvdb::FloatGrid& surface, bool inside) : tree_(surface.t
             if (m < 0 && whole < 0) continue;
             for (int at = 0; at < kVoxels; ++at) {
                 if ((at >> shift & 7) != near || !is_ours(values[at])) continue;
-                const uint32_t here = first_[n] + mine[at];
-                if (m < 0) {
-                    join(here, static_cast<uint32_t>(whole));
-                } else {
+                std::pair<uint32_t, uint32_t> pair(first_[n] + mine[at], static_cast<uint32_t>(whole));
+                if (m >= 0) {
                     const int there = at + ((far - near) << shift);
-                    if (is_ours(leaves_[static_cast<size_t>(m)]->buffer().data()[there])) join(here, first_[static_cast<size_t>(m)] + labels_[static_cast<size_t>(m) * kVoxels + static_cast<size_t>(there)]);
+                    if (!is_ours(leaves_[static_cast<size_t>(m)]->buffer().data()[there])) continue;
+                    pair.second = first_[static_cast<size_t>(m)] + labels_[static_cast<size_t>(m) * kVoxels + static_cast<size_t>(there)];
                 }
+                if (touching[n].empty() || touching[n].back() != pair) touching[n].push_back(pair);
             }
         }
-    }
+    });
+    for (const auto& pairs : touching)
+        for (const auto& [here, there] : pairs) join(here, there);
     for (size_t t = 0; t < tiles_.size(); ++t) {
         const auto [o, side] = tiles_[t];
         const uint32_t here = first_[count] + static_cast<uint32_t>(t);
@@ -134,13 +138,14 @@ int64_t Pieces::tile_at(const Coord& c) const {
     return -1;
 }
 
+int64_t Pieces::in_leaf(size_t leaf, openvdb::Index n) const {
+    return (leaves_[leaf]->getValue(n) < 0.f) == inside_ ? int64_t{parent_[first_[leaf] + labels_[leaf * kVoxels + n]]} : int64_t{-1};
+}
+
 int64_t Pieces::at(const Coord& c) const {
-    if (const auto found = leaf_number_.find(c & ~7); found != leaf_number_.end()) {
-        const openvdb::Index n = Leaf::coordToOffset(c);
-        return (leaves_[found->second]->getValue(n) < 0.f) == inside_ ? parent_[first_[found->second] + labels_[found->second * kVoxels + n]] : -1;
-    }
+    if (const auto found = leaf_number_.find(c & ~7); found != leaf_number_.end()) return in_leaf(found->second, Leaf::coordToOffset(c));
     const int64_t tile = tile_at(c);
-    return tile < 0 ? -1 : parent_[static_cast<size_t>(tile)];
+    return tile < 0 ? int64_t{-1} : int64_t{parent_[static_cast<size_t>(tile)]};
 }
 
 std::vector<double> component_volumes(const openvdb::FloatGrid& surface) {
@@ -159,25 +164,32 @@ Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid&
     carved.tree().getNodes(leaves);
     {
         const Pieces voids(carved, false);
-        std::set<int64_t> filled;
-        for (Leaf* leaf : leaves)
+        std::vector<std::set<int64_t>> filled(leaves.size());
+        std::vector<size_t> voxels(leaves.size(), 0);
+        tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t l) {
             for (openvdb::Index n = 0; n < kVoxels; ++n) {
-                if (leaf->getValue(n) < 0.f) continue;
-                const Coord c = leaf->offsetToGlobalCoord(n);
-                const int64_t piece = voids.at(c);
+                if (leaves[l]->getValue(n) < 0.f) continue;
+                const int64_t piece = voids.in_leaf(l, n);
                 if (piece == voids.open()) continue;
-                const float was = before.tree().getValue(c);
+                const float was = before.tree().getValue(leaves[l]->offsetToGlobalCoord(n));
                 if (!(was < 0.f)) continue;  // the hull has that cavity, too
-                leaf->setValueOnly(n, was);
-                filled.insert(piece);
-                ++out.filled_voxels;
+                leaves[l]->setValueOnly(n, was);
+                filled[l].insert(piece);
+                ++voxels[l];
             }
-        out.voids = filled.size();
+        });
+        std::set<int64_t> all;
+        for (const auto& f : filled) all.insert(f.begin(), f.end());
+        out.voids = all.size();
+        out.filled_voxels = std::accumulate(voxels.begin(), voxels.end(), size_t{0});
     }
-    const Pieces pieces(carved, true), whole(before, true);
+    const Pieces pieces(carved, true);
+    size_t count = 0;
+    pieces.for_each([&](uint32_t, int64_t) { ++count; });
+    if (count < 2) return out;
+    const Pieces whole(before, true);
     std::map<int64_t, bool> drop;  // by piece
-    const auto is_dropped = [&](const Coord& c) {
-        const int64_t piece = pieces.at(c);
+    const auto is_dropped = [&](int64_t piece, const Coord& c) {
         const auto [known, fresh] = drop.emplace(piece, false);
         if (fresh) {
             const int64_t of = whole.at(c);
@@ -186,12 +198,19 @@ Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid&
         }
         return known->second;
     };
-    for (Leaf* leaf : leaves)
-        for (openvdb::Index n = 0; n < kVoxels; ++n)
-            if (leaf->getValue(n) < 0.f && is_dropped(leaf->offsetToGlobalCoord(n))) leaf->setValueOnly(n, band);
+    for (size_t l = 0; l < leaves.size(); ++l) {
+        int64_t last = -1;  // most leaves are of one piece
+        bool dropped = false;
+        for (openvdb::Index n = 0; n < kVoxels; ++n) {
+            const int64_t piece = pieces.in_leaf(l, n);
+            if (piece < 0) continue;
+            if (piece != last) dropped = is_dropped(last = piece, leaves[l]->offsetToGlobalCoord(n));
+            if (dropped) leaves[l]->setValueOnly(n, band);
+        }
+    }
     std::vector<std::pair<Coord, int>> tiles;
     for_inside_tiles(carved.tree(), [&](const Coord& origin, int side) {
-        if (is_dropped(origin)) tiles.emplace_back(origin, side);
+        if (is_dropped(pieces.at(origin), origin)) tiles.emplace_back(origin, side);
     });
     for (const auto& [origin, side] : tiles) carved.tree().addTile(tile_level(side), origin, band, false);
     return out;

@@ -601,7 +601,7 @@ std::vector<std::pair<std::string, double>> DevicePipeline::milliseconds() const
 void DevicePipeline::clear_times() { parts_->times.clear(); }
 size_t DevicePipeline::bytes() const {
     const Parts& p = *parts_;
-    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() + p.stereo.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
+    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.fused.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() + p.stereo.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
 }
 size_t DevicePipeline::free_bytes() const {
     parts_->use();

@@ -90,6 +90,7 @@ struct DevicePipeline::Parts {
     std::optional<CarveOptions> carve_options;
     std::vector<CarveInput> carve_inputs;  ///< without fields
     Volume hull, surface;
+    Volume fused;  ///< the surface carved by depths, before it is re-distanced
     cuda::LevelSetStage level_set;
     cuda::FilterStage filter;
     cuda::MeshStage mesh;

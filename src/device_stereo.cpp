@@ -3,12 +3,50 @@
 
 #if defined(VDBCARVE_WITH_CUDA)
 
+#include <algorithm>
 #include <chrono>
+#include <numeric>
 
 #include "device_parts.h"
 #include "stereo_plan.h"
 
 namespace vdbcarve {
+
+namespace {
+
+FusedBlocks fuse_on_device(const FusionPlan& plan, cuda::StereoStage& stage, Fetcher& fetcher, const cuda::Stream& stream, cuda::StageTimes& times) {
+    std::vector<cuda::StereoStage::FusedView> views;
+    for (const FusionPlan::View& v : plan.views) views.push_back({v.level, v.view, v.fusion});
+    std::vector<std::array<int, 3>> first;
+    first.reserve(plan.blocks.size());
+    for (const openvdb::Coord& c : plan.blocks) first.push_back({c[0], c[1], c[2]});
+    const cuda::StereoStage::Fused found = stage.fuse(plan.rule, views, first, stream, times);
+    // Slots were taken as threads came.
+    std::vector<uint32_t> block(found.count), at(found.count);
+    fetcher.fetch_to(block.data(), found.block, block.size() * sizeof(uint32_t), stream);
+    std::iota(at.begin(), at.end(), 0u);
+    std::sort(at.begin(), at.end(), [&](uint32_t a, uint32_t b) { return block[a] < block[b]; });
+    std::vector<uint32_t> place(found.count);
+    FusedBlocks out;
+    out.block.resize(found.count);
+    for (uint32_t n = 0; n < found.count; ++n) {
+        out.block[n] = block[at[n]];
+        place[at[n]] = n;
+    }
+    const auto bring = [&](std::vector<float>& to, const float* from) {
+        constexpr size_t kBytes = cuda::kLeafVoxels * sizeof(float);
+        to.resize(found.count * static_cast<size_t>(cuda::kLeafVoxels));
+        fetcher.fetch(from, found.count * kBytes, kBytes, stream, [&](const uint8_t* piece, size_t offset, size_t bytes) {
+            const size_t first_slot = offset / kBytes;
+            tbb::parallel_for(size_t{0}, bytes / kBytes, [&](size_t s) { std::memcpy(to.data() + place[first_slot + s] * static_cast<size_t>(cuda::kLeafVoxels), piece + s * kBytes, kBytes); });
+        });
+    };
+    bring(out.values, found.values);
+    bring(out.confidence, found.confidence);
+    return out;
+}
+
+}  // namespace
 
 StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress) {
     Parts& p = *parts_;
@@ -25,42 +63,59 @@ StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std
     const kernel::StereoTrustRule rule = trust_rule(options.trust);
     auto lap = [&, last = std::chrono::steady_clock::now()](const char* what) mutable {
         const auto now = std::chrono::steady_clock::now();
-        add_milliseconds(out, what, std::chrono::duration<double, std::milli>(now - last).count());
+        if (what) add_milliseconds(out, what, std::chrono::duration<double, std::milli>(now - last).count());
         last = now;
     };
-    const auto match = [&](StereoLevel& level, const StereoLevel* coarser) {
-        lap("photographs");
-        const std::vector<StereoSource>& sources = level.sources;
+    const std::vector<StereoLevel> levels = stereo_levels(surface, inputs, photos, out.scale, options);
+    lap("photographs");
+    p.stereo.set_hull(volume.grid, frame.base, frame.box, p.stream, p.times);
+    for (size_t l = levels.size(); l-- > 0;) {
+        const std::vector<StereoSource>& sources = levels[l].sources;
         std::vector<cuda::StereoPixels> pixels(n);
         for (size_t v = 0; v < n; ++v)
             if (!sources[v].grey.empty()) pixels[v] = {sources[v].grey.data(), sources[v].object.data(), sources[v].width, sources[v].height, sources[v].lens};
-        p.stereo.begin(pixels, coarser != nullptr, volume.grid, frame.base, frame.box, p.stream, p.times);
-        std::vector<kernel::StereoReference> references;
+        p.stereo.begin(l, pixels, l + 1 < levels.size(), p.stream, p.times);
+        std::vector<cuda::StereoStage::Work> work;
         for (size_t v = 0; v < n; ++v)
-            if (!sources[v].pairs.empty()) references.push_back(stereo_reference(sources, v, voxel));
-        for (const kernel::StereoReference& r : references) {
-            p.stereo.match(r, hull_view(frame, sources[static_cast<size_t>(r.view)], deepest), options.passes, rule, p.stream, p.times);
-            progress.check();
-        }
-        p.stereo.agree(references, rule, p.stream, p.times);
+            if (!sources[v].pairs.empty()) work.push_back({stereo_reference(sources, v, voxel), hull_view(frame, sources[v], deepest)});
+        p.stereo.match(work, options.passes, rule, p.stream, p.times);
+        p.stereo.agree(work, rule, p.stream, p.times);
         const std::vector<uint32_t> counts = p.stereo.counts(p.stream);
-        lap("match");
-        level.maps.resize(n);
         out.views.assign(n, {});
-        for (const kernel::StereoReference& r : references) {
-            const auto v = static_cast<size_t>(r.view);
-            out.views[v].pairs = static_cast<size_t>(r.pairs);
+        for (const cuda::StereoStage::Work& w : work) {
+            const auto v = static_cast<size_t>(w.reference.view);
+            out.views[v].pairs = static_cast<size_t>(w.reference.pairs);
             out.views[v].object_pixels = counts[2 * v];
             out.views[v].matched_pixels = counts[2 * v + 1];
-            level.maps[v].planes.resize(sources[v].grey.size());
-            level.maps[v].confidence.resize(sources[v].grey.size());
-            p.fetcher.fetch_to(level.maps[v].planes.data(), p.stereo.planes(v), level.maps[v].planes.size() * sizeof(kernel::StereoBest), p.stream);
-            p.fetcher.fetch_to(level.maps[v].confidence.data(), p.stereo.agreed(v), level.maps[v].confidence.size() * sizeof(float), p.stream);
-            progress.step();
         }
-        lap("home");
-    };
-    finish_stereo(out, surface, stereo_levels(surface, inputs, photos, out.scale, options, match), options, progress);
+        progress.step(n);
+    }
+    for (size_t l = 0; l + 1 < levels.size(); ++l) p.stereo.leave_to_finer(l, p.stream, p.times);
+    lap("match");
+    const FusionPlan plan = plan_fusion(surface, levels, options);
+    const FusedBlocks fused = fuse_on_device(plan, p.stereo, p.fetcher, p.stream, p.times);
+    lap("fuse");
+    finish_stereo(out, surface, plan, fused, options, [&](const openvdb::FloatGrid::Ptr& field, int half_width_vox) {
+        p.upload(p.fused, *field);
+        p.surface.topology = nullptr;
+        p.render.clear_colors();
+        if (!p.redistance(p.fused.grid, *p.fused.topology, half_width_vox, nullptr)) throw InputError("stereo: nothing is left of the object");
+        return this->surface();
+    });
+    lap(nullptr);  // finish_stereo() has its own
+    out.maps.resize(n);
+    tbb::parallel_for(size_t{0}, n, [&](size_t v) {  // fresh memory is dear
+        const StereoSource& s = levels.front().sources[v];
+        if (!s.pairs.empty()) out.maps[v] = {ImageF(s.width, s.height), ImageF(s.width, s.height)};
+    });
+    for (size_t v = 0; v < n; ++v) {
+        DepthMap& m = out.maps[v];
+        if (m.depth.data.empty()) continue;
+        p.fetcher.fetch_to(m.depth.data.data(), p.stereo.depths(v, p.stream, p.times), m.depth.data.size() * sizeof(float), p.stream);
+        p.fetcher.fetch_to(m.confidence.data.data(), p.stereo.confidence(v), m.confidence.data.size() * sizeof(float), p.stream);
+    }
+    count_trusted(out);
+    lap("maps home");
     return out;
 }
 

@@ -122,6 +122,13 @@ std::vector<uint8_t> encode_png(ImageView<uint8_t> image) {
     return bytes;
 }
 
+std::vector<uint8_t> encode_tiff(const ImageF& image) {
+    const cv::Mat m(image.height, image.width, CV_32FC1, const_cast<float*>(image.data.data()));
+    std::vector<uint8_t> bytes;
+    if (!cv::imencode(".tiff", m, bytes)) throw OutputError("a TIFF could not be encoded");
+    return bytes;
+}
+
 std::vector<uint8_t> encode_jpeg(ImageView<uint8_t> image, int quality, double focal_35mm) {
     cv::Mat m = wrap(image).clone();
     if (m.channels() == 3) cv::cvtColor(m, m, cv::COLOR_RGB2BGR);

@@ -38,6 +38,9 @@ std::pair<int, int> stored_size(const std::filesystem::path& file);
 /// PNG bytes of a grey, RGB or RGBA picture. Deterministic.
 std::vector<uint8_t> encode_png(ImageView<uint8_t> image);
 
+/// TIFF bytes, 32-bit floats.
+std::vector<uint8_t> encode_tiff(const ImageF& image);
+
 /// The picture that a camera with the same intrinsics and no lens distortion would have taken, linear
 /// interpolation. `outside` (optional) becomes 255 where the source picture has no pixel.
 Image8 undistort(ImageView<uint8_t> image, const Intrinsics& intrinsics, const Lens& lens, Image8* outside);

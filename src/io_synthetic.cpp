@@ -27,21 +27,22 @@ SyntheticSpec read_spec(const fs::path& file) {
                 if (std::none_of(keys.begin(), keys.end(), [&](const char* k) { return it.key() == k; }))
                     throw InputError(file.string() + ": " + where + "unknown field '" + it.key() + "'");
         };
-        known(j, {"name", "builtin", "solids", "mesh", "texture", "rig", "look", "damage", "seed"}, "");
+        known(j, {"name", "builtin", "solids", "mesh", "texture", "pattern", "rig", "look", "damage", "seed"}, "");
         if (j.contains("builtin")) spec = builtin_spec(j["builtin"]);
         spec.name = j.value("name", file.stem().string());
         spec.seed = j.value("seed", uint64_t{1});
         if (j.contains("mesh")) spec.mesh = read_mesh(file.parent_path() / j["mesh"].get<std::string>());
         if (j.contains("texture")) spec.texture = read_texture(file.parent_path() / j["texture"].get<std::string>());
+        if (j.contains("pattern")) spec.pattern = pattern_called(j["pattern"]);
         static const std::pair<const char*, Solid::Kind> kinds[] = {
-            {"ellipsoid", Solid::Kind::Ellipsoid}, {"box", Solid::Kind::Box}, {"torus", Solid::Kind::Torus}, {"cup", Solid::Kind::Cup}};
+            {"ellipsoid", Solid::Kind::Ellipsoid}, {"box", Solid::Kind::Box}, {"torus", Solid::Kind::Torus}, {"cup", Solid::Kind::Cup}, {"bowl", Solid::Kind::Bowl}};
         const auto vec = [](const json& a) { return Vec3d(a.at(0), a.at(1), a.at(2)); };
         for (const json& s : j.value("solids", json::array())) {
             known(s, {"type", "size", "centre", "turn_deg", "color"}, "solids: ");
             Solid solid;
             const std::string type = s.at("type");
             const auto kind = std::find_if(std::begin(kinds), std::end(kinds), [&](const auto& k) { return type == k.first; });
-            if (kind == std::end(kinds)) throw InputError(file.string() + ": solids: type '" + type + "' is none of ellipsoid, box, torus, cup");
+            if (kind == std::end(kinds)) throw InputError(file.string() + ": solids: type '" + type + "' is none of ellipsoid, box, torus, cup, bowl");
             solid.kind = kind->second;
             solid.size = vec(s.at("size"));
             if (s.contains("centre")) solid.world_from_solid.translation = vec(s["centre"]);

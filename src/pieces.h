@@ -17,6 +17,8 @@ class Pieces {
 
     /// The piece that a voxel belongs to; -1 where it is on the other side.
     int64_t at(const openvdb::Coord& c) const;
+    /// The same for a voxel of a leaf, by the leaf's number in the tree's order.
+    int64_t in_leaf(size_t leaf, openvdb::Index voxel) const;
     int64_t voxels(int64_t piece) const { return voxels_[static_cast<size_t>(piece)]; }
     /// Of the outside: the piece that goes on for ever, whose voxels are not counted.
     int64_t open() const { return open_; }

@@ -28,6 +28,7 @@
 #include "mesh_store.h"
 #include "sha256.h"
 #include "statistics.h"
+#include "stereo_sheet.h"
 #include "text.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/carve.h"
@@ -281,7 +282,7 @@ class Job {
         }
         need(o_.color.depth_vox >= 1 && o_.color.depth_vox <= 1000, "--color-depth is " + std::to_string(o_.color.depth_vox) + " layers, must be 1..1000");
         need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox, "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
-        need(o_.use_stereo || o_.stereo == StereoOptions(), "--stereo-scale, --stereo-depth and --stereo-levels are of --stereo on");
+        need(o_.use_stereo || (o_.stereo == StereoOptions() && !o_.stereo_maps), "--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps are of --stereo on");
         need(!o_.use_stereo || !o_.occupancy, "--stereo on carves a level set, and --occupancy makes none");
         need(!o_.color.skip_upright || o_.color.mode == ColorMode::Best, "--paper is of --color best");
         need(o_.color_leave_out == 0 || o_.color_leave_out >= 2, "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
@@ -303,7 +304,7 @@ class Job {
             throw OutputError(o_.output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
         make_folder(o_.output / "stages");
         // Of runs that were killed.
-        for (const char* folder : {"", "stages", "masks", "overlays", kUnverified}) remove_left_overs(o_.output / folder);
+        for (const char* folder : {"", "stages", "masks", "depth", "overlays", kUnverified}) remove_left_overs(o_.output / folder);
         for (const char* part : {".frames.part", ".masks.part", ".repaired.part"}) fs::remove_all(store_.folder() / part);
         fs::remove(store_.folder() / "cameras.json");
         mark_as_ours();
@@ -788,6 +789,7 @@ class Job {
         h.add_value(a.fov_deg).add_value(a.principal_point_px.has_value());
         if (a.principal_point_px) h.add_value(a.principal_point_px->x()).add_value(a.principal_point_px->y());
         h.add_value(a.focal_varies).add_value(a.centre_varies).add_value(a.known_distance).add_value(a.known_height).add(a.units).add_value(a.points).add_value(a.restarts).add_value(a.seed);
+        h.add_value(refines_for_stereo());
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         align_key_ = h.hex();
         const fs::path note_file = store_.path("align", align_key_, ".json"), cameras_file = store_.path("align", align_key_, ".cameras.json"), other_file = store_.path("align", align_key_, ".other.json"),
@@ -797,7 +799,8 @@ class Job {
         if (!reused) {
             const size_t before = progress_.warnings().size();
             const std::vector<MaskView> masks = by_mat ? std::vector<MaskView>() : used_mask_views();
-            const AlignResult found = align(views_, masks, a, progress_);
+            AlignResult found = align(views_, masks, a, progress_);
+            if (refines_for_stereo()) refine_by_texture(found, masks);
             for (const std::string& w : found.warnings) progress_.warn(w);
             write_file(cameras_file, cameras_json(found.views));
             fs::remove(other_file);
@@ -844,6 +847,36 @@ class Job {
         }
         doubt(views_.unverified, "the cameras found are UNVERIFIED" + shown);
         return reused;
+    }
+
+    /// What silhouettes alone leave open, a few tenths of a pixel, is what depths would be wrong by. (A mat's cameras are better than silhouettes can make them.)
+    bool refines_for_stereo() const { return o_.use_stereo && o_.align.features && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper); }
+
+    /// Fits tracks of the photographs' features, too. Without texture nothing changes.
+    void refine_by_texture(AlignResult& found, const std::vector<MaskView>& masks) {
+        if (!found.failures.empty()) return;
+        constexpr size_t kFewest = 100;
+        AlignOptions finer;
+        finer.method = AlignMethod::Refine;
+        finer.focal_varies = o_.align.focal_varies;
+        finer.centre_varies = o_.align.centre_varies;
+        finer.points = o_.align.points;
+        finer.seed = o_.align.seed;
+        AlignResult refined = align(found.views, masks, finer, progress_);
+        if (refined.features < kFewest || !refined.failures.empty()) {
+            progress_.detail(text_of("stereo: %zu tracks of features are too few to refine the cameras by", refined.features));
+            return;
+        }
+        progress_.note(text_of("stereo: cameras refined by %zu tracks of features, %.2f px (rms)", refined.features, refined.features_rms_px));
+        found.views = std::move(refined.views);
+        found.rms_px = refined.rms_px;
+        found.coherent = refined.coherent;
+        found.focal_px = refined.focal_px;
+        found.aligned = std::move(refined.aligned);
+        found.touches_world = std::move(refined.touches_world);
+        found.features = refined.features;
+        found.features_rms_px = refined.features_rms_px;
+        found.features_near = refined.features_near;
     }
 
     /// Cameras and sittings from a file of ours about the same views.
@@ -1747,8 +1780,10 @@ class Job {
             return false;
         }
         surface_key_ = h.hex();
-        const fs::path file = store_.path("stereo", surface_key_, ".vdb"), note_file = store_.path("stereo", surface_key_, ".json");
-        if (const auto note = stage_note(note_file, {"stereo", "warnings"}); note && fs::exists(file)) {
+        const fs::path file = store_.path("stereo", surface_key_, ".vdb"), note_file = store_.path("stereo", surface_key_, ".json"), maps = store_.path("stereo", surface_key_, ".maps");
+        stereo_sheet_ = store_.path("stereo", surface_key_, ".png");
+        if (o_.stereo_maps) stereo_maps_ = maps;
+        if (const auto note = stage_note(note_file, {"stereo", "warnings"}); note && fs::exists(file) && fs::exists(stereo_sheet_) && (!o_.stereo_maps || fs::exists(maps))) {
             surface_.reset();
             for (const openvdb::GridBase::Ptr& grid : read_vdb(file)) {
                 if (grid->getName() == "surface") surface_ = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
@@ -1773,8 +1808,8 @@ class Job {
             result = device_->stereo(*surface_, inputs, photo_source(), options, progress_);
         });
         if (!done) result = stereo(*surface_, inputs, photo_source(), options, progress_);
-        surface_ = result.surface;
-        surface_on_device_ = false;
+        const openvdb::FloatGrid::Ptr hull = std::exchange(surface_, result.surface);
+        surface_on_device_ = surface_on_device_ && done;
         stereo_confidence_ = result.confidence;
         json ms, of_views;
         size_t object = 0, trusted = 0, without = 0;
@@ -1790,9 +1825,58 @@ class Job {
         progress_.note(text_of("stereo: %.0f %% of the object's pixels have a depth that other views bear out; volume %+.2f %%", 100 * share_of(trusted, object), 100 * (result.volume / result.volume_before - 1)));
         if (without) progress_.warn(text_of("stereo: %zu of %zu views have no two others at 8 to 40 degrees from them, and give no depth. Remedy: photographs nearer to each other", without, inputs.size()));
         if (share_of(trusted, object) < 0.05) progress_.warn(text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs texture, and cameras right to a pixel (--method refine)", 100 * share_of(trusted, object)));
+        draw_stereo(*hull, result);
+        if (o_.stereo_maps) keep_depth_maps(maps, result.maps);
         write_vdb(file, {surface_, stereo_confidence_}, metadata());
         write_file(note_file, json{{"stereo", report_["stereo"]}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
         return false;
+    }
+
+    /// Four views, spread evenly.
+    void draw_stereo(const openvdb::FloatGrid& hull, const StereoResult& result) {
+        std::vector<size_t> with_map;
+        for (size_t u = 0; u < result.maps.size(); ++u)
+            if (!result.maps[u].depth.data.empty()) with_map.push_back(u);
+        std::vector<StereoTile> tiles;
+        for (size_t n = with_map.size(), shown = std::min<size_t>(n, 4), s = 0; s < shown; ++s) {
+            const size_t u = with_map[s * n / shown];
+            const View& v = views_.views[used_[u]];
+            tiles.push_back({v.name, v.camera, photo_to_show(v), &result.maps[u]});
+        }
+        const auto png = io::encode_png(stereo_sheet(hull, *result.surface, tiles).view());
+        write_file(stereo_sheet_, png.data(), png.size());
+    }
+
+    void keep_depth_maps(const fs::path& folder, const std::vector<DepthMap>& maps) {
+        const fs::path part = folder.string() + ".part";
+        fs::remove_all(part);
+        make_folder(part);
+        std::vector<std::string> names;
+        for (const size_t u : used_) names.push_back(fs::path(mask_names_[u]).replace_extension("").string());
+        for (const std::string& name : names) make_folder((part / name).parent_path());
+        write_depth_maps(part, names, maps);
+        fs::remove_all(folder);
+        fs::rename(part, folder);
+    }
+
+    /// stereo.png and depth/; and nothing of an earlier run's.
+    void place_stereo_pictures() {
+        fs::remove(place_ / "stereo.png");
+        if (fs::exists(stereo_sheet_)) place_copy(stereo_sheet_, place_ / "stereo.png");
+        const fs::path folder = place_ / "depth";
+        std::vector<fs::path> old;
+        if (fs::exists(folder))
+            for (const auto& entry : fs::recursive_directory_iterator(folder))
+                for (const char* ours : {".depth.tiff", ".confidence.png"})
+                    if (entry.path().string().ends_with(ours)) old.push_back(entry.path());
+        for (const fs::path& file : old) fs::remove(file);
+        if (stereo_maps_.empty() || !fs::exists(stereo_maps_)) return;
+        for (const auto& entry : fs::recursive_directory_iterator(stereo_maps_)) {
+            if (!entry.is_regular_file()) continue;
+            const fs::path to = folder / fs::relative(entry.path(), stereo_maps_);
+            make_folder(to.parent_path());
+            place_copy(entry.path(), to);
+        }
     }
     static double share_of(size_t part, size_t whole) { return whole ? static_cast<double>(part) / static_cast<double>(whole) : 0; }
     static constexpr double kStereoPerPixel = 60;  ///< bytes: grey, plane, cost, confidence, the hull's answers
@@ -2170,6 +2254,7 @@ class Job {
         }
         write_file(o_.output / "cameras.json", cameras_json(views_));
         place_align_pictures();
+        place_stereo_pictures();
         agreement();
         preview();
         progress_.step();
@@ -2375,6 +2460,7 @@ class Job {
     CarveOptions carve_;
     openvdb::FloatGrid::Ptr hull_, surface_;
     openvdb::Vec3SGrid::Ptr color_;
+    fs::path stereo_sheet_, stereo_maps_;  ///< of this run, in the store
     openvdb::GridBase::Ptr views_grid_, confidence_grid_, stereo_confidence_;
     json color_views_ = json::object();        ///< what colouring says of each view
     std::set<std::string> missing_photos_;

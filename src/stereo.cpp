@@ -8,6 +8,7 @@
 
 #include "color_plan.h"
 #include "nanovdb_bytes.h"
+#include "redistance.h"
 #include "stereo_plan.h"
 #include "vdbcarve/device.h"
 #include "vector_loops.h"
@@ -125,6 +126,20 @@ class Matcher {
     double deepest_, voxel_;
 };
 
+/// A coarser depth stands only where no finer one does.
+void leave_to_finer(StereoLevel& coarse, const StereoLevel& fine) {
+    tbb::parallel_for(size_t{0}, coarse.maps.size(), [&](size_t v) {
+        StereoDepthMap& c = coarse.maps[v];
+        const StereoDepthMap& f = fine.maps[v];
+        if (c.planes.empty() || f.planes.empty()) return;
+        const StereoSource &from = fine.sources[v], &to = coarse.sources[v];
+        for (int y = 0; y < from.height; ++y)
+            for (int x = 0; x < from.width; ++x)
+                if (x / 2 < to.width && y / 2 < to.height && f.confidence[static_cast<size_t>(y) * static_cast<size_t>(from.width) + static_cast<size_t>(x)] > 0.f)
+                    c.confidence[static_cast<size_t>(y / 2) * static_cast<size_t>(to.width) + static_cast<size_t>(x / 2)] = 0.f;
+    });
+}
+
 }  // namespace
 
 StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress) {
@@ -146,17 +161,37 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
     progress.begin("stereo", static_cast<size_t>(options.levels) * n + 1);
     const SeenVolume volume(surface);
     lap("hull");
-    std::vector<StereoLevel> levels = stereo_levels(surface, inputs, photos, out.scale, options, [&](StereoLevel& level, const StereoLevel* coarser) {
-        lap("photographs");
+    std::vector<StereoLevel> levels = stereo_levels(surface, inputs, photos, out.scale, options);
+    lap("photographs");
+    for (size_t l = levels.size(); l-- > 0;) {
+        StereoLevel& level = levels[l];
         out.views.assign(n, {});
         level.maps.resize(n);
         Matcher matcher(surface, volume, level.sources, options, progress);
-        for (size_t v = 0; v < n; ++v) level.maps[v] = matcher.match(v, coarser, out.views[v]);
+        for (size_t v = 0; v < n; ++v) level.maps[v] = matcher.match(v, l + 1 < levels.size() ? &levels[l + 1] : nullptr, out.views[v]);
         lap("match");
         matcher.keep_agreed(level.maps);
         lap("agree");
+    }
+    for (size_t l = 0; l + 1 < levels.size(); ++l) leave_to_finer(levels[l + 1], levels[l]);
+    const FusionPlan plan = plan_fusion(surface, levels, options);
+    const FusedBlocks fused = fuse_depths(surface, plan, levels, progress);
+    lap("fuse");
+    Progress quiet;
+    finish_stereo(out, surface, plan, fused, options, [&](openvdb::FloatGrid::Ptr field, int half_width_vox) { return redistance(std::move(field), half_width_vox, nullptr, quiet); });
+    out.maps.resize(n);
+    tbb::parallel_for(size_t{0}, n, [&](size_t v) {
+        const StereoSource& s = levels.front().sources[v];
+        StereoDepthMap& map = levels.front().maps[v];
+        if (map.planes.empty()) return;
+        DepthMap& m = out.maps[v];
+        m.depth = ImageF(s.width, s.height);
+        m.confidence = ImageF(s.width, s.height);
+        m.confidence.data = std::move(map.confidence);
+        for (size_t p = 0; p < m.depth.data.size(); ++p)
+            if (m.confidence.data[p] > 0.f) m.depth.data[p] = kernel::depth_of(s.lens, map.planes[p].plane.s);
     });
-    finish_stereo(out, surface, std::move(levels), options, progress);
+    count_trusted(out);
     return out;
 }
 

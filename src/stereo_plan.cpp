@@ -4,14 +4,11 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <numbers>
 
 #include "color_plan.h"
 #include "marching_cubes.h"
-#include "pieces.h"
-#include "redistance.h"
 #include "vdbcarve/error.h"
 
 namespace vdbcarve {
@@ -162,23 +159,9 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
     return out;
 }
 
-/// A coarser depth stands only where no finer one does.
-void leave_to_finer(StereoLevel& coarse, const StereoLevel& fine) {
-    tbb::parallel_for(size_t{0}, coarse.maps.size(), [&](size_t v) {
-        StereoDepthMap& c = coarse.maps[v];
-        const StereoDepthMap& f = fine.maps[v];
-        if (c.planes.empty() || f.planes.empty()) return;
-        const int width = coarse.sources[v].width;
-        for (int y = 0; y < fine.sources[v].height; ++y)
-            for (int x = 0; x < fine.sources[v].width; ++x)
-                if (x / 2 < width && y / 2 < coarse.sources[v].height && f.confidence[static_cast<size_t>(y) * static_cast<size_t>(fine.sources[v].width) + static_cast<size_t>(x)] > 0.f)
-                    c.confidence[static_cast<size_t>(y / 2) * static_cast<size_t>(width) + static_cast<size_t>(x / 2)] = 0.f;
-    });
-}
-
 }  // namespace
 
-std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& o, const std::function<void(StereoLevel&, const StereoLevel*)>& match) {
+std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& o) {
     const size_t n = inputs.size();
     std::vector<Photo> loaded;
     if (photos) loaded = photos(0, n);
@@ -202,8 +185,6 @@ std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const 
         out.push_back({scale << level, {}, {}});
         out.back().sources = sources_of(inputs, pictures, used, present, fields, out.back().scale, Vec3d(middle[0], middle[1], middle[2]), o);
     }
-    for (size_t level = out.size(); level-- > 0;) match(out[level], level + 1 < out.size() ? &out[level + 1] : nullptr);
-    for (size_t fine = 0; fine + 1 < out.size(); ++fine) leave_to_finer(out[fine + 1], out[fine]);
     return out;
 }
 
@@ -237,6 +218,13 @@ kernel::HullView hull_view(const RenderFrame& frame, const StereoSource& source,
     return out;
 }
 
+void count_trusted(StereoResult& result) {
+    tbb::parallel_for(size_t{0}, result.maps.size(), [&](size_t v) {
+        const std::vector<float>& c = result.maps[v].confidence.data;
+        result.views[v].trusted_pixels = static_cast<size_t>(std::count_if(c.begin(), c.end(), [](float x) { return x > 0.f; }));
+    });
+}
+
 void add_milliseconds(StereoResult& result, const std::string& step, double milliseconds) {
     for (auto& [name, sum] : result.milliseconds)
         if (name == step) {
@@ -244,41 +232,6 @@ void add_milliseconds(StereoResult& result, const std::string& step, double mill
             return;
         }
     result.milliseconds.emplace_back(step, milliseconds);
-}
-
-void finish_stereo(StereoResult& out, const openvdb::FloatGrid& surface, std::vector<StereoLevel>&& levels, const StereoOptions& options, Progress& progress) {
-    const auto start = std::chrono::steady_clock::now();
-    const FusedSurface fused = fuse_depths(surface, levels, options, progress);
-    const int half_width = static_cast<int>(std::lround(surface.background() / surface.voxelSize()[0]));
-    const double unit = std::pow(surface.voxelSize()[0], 3) / static_cast<double>(kernel::kVolumeUnits);
-    Progress quiet;
-    out.volume_before = unit * static_cast<double>(volume_units(surface));
-    if (fused.carved) {
-        const Fragments loose = remove_fragments(*fused.surface, surface, options.least_piece);
-        out.fragments = loose.fragments;
-        out.voids = loose.voids;
-        out.surface = redistance(fused.surface, half_width, nullptr, quiet);
-    } else {
-        out.surface = fused.surface;  // the very bits
-    }
-    out.volume = unit * static_cast<double>(volume_units(*out.surface));
-    out.confidence = fused.confidence;
-    const std::vector<StereoSource>& sources = levels.front().sources;
-    std::vector<StereoDepthMap>& maps = levels.front().maps;
-    out.maps.resize(maps.size());
-    for (size_t v = 0; v < maps.size(); ++v) {
-        if (maps[v].planes.empty()) continue;
-        DepthMap& m = out.maps[v];
-        m.depth = ImageF(sources[v].width, sources[v].height);
-        m.confidence = ImageF(sources[v].width, sources[v].height);
-        m.confidence.data = std::move(maps[v].confidence);
-        for (size_t p = 0; p < m.depth.data.size(); ++p) {
-            if (!(m.confidence.data[p] > 0.f)) continue;
-            m.depth.data[p] = kernel::depth_of(sources[v].lens, maps[v].planes[p].plane.s);
-            ++out.views[v].trusted_pixels;
-        }
-    }
-    out.milliseconds.emplace_back("fuse", std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
 }
 
 }  // namespace vdbcarve

@@ -33,11 +33,11 @@ struct StereoDepthMap {
 struct StereoLevel {
     int scale;  ///< pixels of a photograph a side of one of these
     std::vector<StereoSource> sources;
-    std::vector<StereoDepthMap> maps;
+    std::vector<StereoDepthMap> maps;  ///< empty where the device keeps them
 };
 
-/// Calls match(level, coarser level or null) for each, coarsest first. What a finer level trusts replaces what a coarser one does.
-std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& options, const std::function<void(StereoLevel&, const StereoLevel*)>& match);
+/// All levels, without maps. Photographs are asked for all at once.
+std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& options);
 
 /// Before photographs and the hull's answers are in place: those pointers are null.
 kernel::StereoReference stereo_reference(const std::vector<StereoSource>& sources, size_t view, double voxel_size);
@@ -48,8 +48,8 @@ kernel::StereoPair stereo_pair(const Camera& from, const Camera& to, int view);
 /// How the hull is asked about a view.
 kernel::HullView hull_view(const RenderFrame& frame, const StereoSource& source, double deepest_world);
 
-/// Fuses, re-distances and measures; the rest of what stereo() returns.
-void finish_stereo(StereoResult& result, const openvdb::FloatGrid& surface, std::vector<StereoLevel>&& levels, const StereoOptions& options, Progress& progress);
+/// Counts the maps' pixels that have a depth.
+void count_trusted(StereoResult& result);
 
 /// Steps of one name are summed.
 void add_milliseconds(StereoResult& result, const std::string& step, double milliseconds);
@@ -62,11 +62,31 @@ double longest_side(const openvdb::FloatGrid& surface);
 
 kernel::StereoTrustRule trust_rule(const StereoTrust& trust);
 
-/// Carves the surface by the maps. The fused field is not a level set yet.
-struct FusedSurface {
-    openvdb::FloatGrid::Ptr surface, confidence;
-    bool carved = false;  ///< else the surface is the one given
+// ------------------------------------------------------------------------------------ fusion
+
+/// Which voxels are asked about, and how. Where a view of a level lies in the hull's lattice; its maps are still to be given.
+struct FusionPlan {
+    struct View {
+        size_t level, view;
+        kernel::FusionView fusion;  ///< without planes and confidence
+    };
+    kernel::FusionRule rule;
+    std::vector<View> views;               ///< finest level first
+    std::vector<openvdb::Coord> blocks;    ///< first voxels of all blocks of 8^3 that hold some of the inside
+    openvdb::Coord base;                   ///< the voxel that FusionView counts from
 };
-FusedSurface fuse_depths(const openvdb::FloatGrid& surface, const std::vector<StereoLevel>& levels, const StereoOptions& options, Progress& progress);
+FusionPlan plan_fusion(const openvdb::FloatGrid& surface, const std::vector<StereoLevel>& levels, const StereoOptions& options);
+
+/// Blocks of the plan, ascending, that depths say something of.
+struct FusedBlocks {
+    std::vector<uint32_t> block;
+    std::vector<float> values, confidence;  ///< 512 of each
+};
+FusedBlocks fuse_depths(const openvdb::FloatGrid& surface, const FusionPlan& plan, const std::vector<StereoLevel>& levels, Progress& progress);
+
+using Redistance = std::function<openvdb::FloatGrid::Ptr(openvdb::FloatGrid::Ptr field, int half_width_vox)>;
+
+/// Puts the blocks into the hull, drops what hangs loose, re-distances and measures: the result but for its maps.
+void finish_stereo(StereoResult& result, const openvdb::FloatGrid& surface, const FusionPlan& plan, const FusedBlocks& blocks, const StereoOptions& options, const Redistance& redistance);
 
 }  // namespace vdbcarve

@@ -50,15 +50,25 @@ double cup_value(const Vec3d& p, double radius, double half_height, double wall)
     return std::max(std::min(outer, handle), -hollow);
 }
 
+double bowl_value(const Vec3d& p, double radius, double half_height, double depth) {
+    constexpr double kRim = 0.86;
+    const double rim = kRim * radius, ball = (rim * rim + depth * depth) / (2 * depth);
+    return std::max(cylinder_value(p, radius, -half_height, half_height), ball - (p - Vec3d(0, 0, half_height - depth + ball)).norm());
+}
+
 }  // namespace
 
 double Solid::value(const Vec3d& point_world) const {
-    const Vec3d p = world_from_solid.inverse() * point_world;
+    return value_here(world_from_solid.inverse() * point_world);
+}
+
+double Solid::value_here(const Vec3d& p) const {
     switch (kind) {
         case Kind::Ellipsoid: return (p.cwiseQuotient(size).norm() - 1) * size.minCoeff();
         case Kind::Box: return box_value(p, size);
         case Kind::Torus: return torus_value(p, size[0], size[1]);
         case Kind::Cup: return cup_value(p, size[0], size[1], size[2]);
+        case Kind::Bowl: return bowl_value(p, size[0], size[1], size[2]);
     }
     return 0;
 }
@@ -69,6 +79,7 @@ double Solid::reach() const {
         case Kind::Box: return size.norm();
         case Kind::Torus: return size[0] + size[1];
         case Kind::Cup: return std::hypot(size[0], size[1]) + 0.6 * size[1] + 0.8 * size[2];
+        case Kind::Bowl: return std::hypot(size[0], size[1]);
     }
     return 0;
 }
@@ -102,7 +113,7 @@ std::optional<double> Solid::hit(const Camera::Ray& ray_world) const {
     const double end = -b + std::sqrt(disc), close = 1e-5 * ball;  // far below a sample's width
     for (int step = 0; step < 400 && t <= end; ++step) {
         const Vec3d p = o + t * d;
-        const double v = kind == Kind::Torus ? torus_value(p, size[0], size[1]) : cup_value(p, size[0], size[1], size[2]);
+        const double v = value_here(p);
         if (v < close) return t;
         t += v;
     }
@@ -188,10 +199,17 @@ double noise(const Vec3d& p) {
 }
 
 /// Linear albedo on the object, as a function of place in units of the object's radius.
-Vec3d albedo(const Vec3d& p) {
+Vec3d albedo(const Vec3d& p, Pattern pattern) {
+    const Vec3d clay(0.62, 0.30, 0.16), glaze(0.12, 0.36, 0.45);
+    if (pattern == Pattern::Plain) return 0.8 * clay;
+    if (pattern == Pattern::Checks) {
+        constexpr double kSide = 0.12, kEdge = 0.3;  // of a check, of the radius; blurred over that much of it, so that pictures do not alias
+        double sign = 1;
+        for (int a = 0; a < 3; ++a) sign *= std::clamp(std::sin(kPi * (p[a] / kSide + 0.5)) / kEdge, -1.0, 1.0);
+        return 0.5 * ((1 + sign) * clay + (1 - sign) * glaze);
+    }
     const double n = 0.6 * noise(5 * p) + 0.3 * noise(11 * p) + 0.1 * noise(23 * p);
     const double vein = std::pow(std::abs(std::sin(6 * p.x() + 4 * p.z() + 9 * n)), 4);
-    const Vec3d clay(0.62, 0.30, 0.16), glaze(0.12, 0.36, 0.45);
     return (1 - vein) * (clay * (0.6 + 0.6 * n)) + vein * glaze;
 }
 
@@ -332,6 +350,7 @@ class Object {
     void prepare_nearest() const {
         if (spec_.solids.empty() && !tree_) tree_.emplace(spec_.mesh);
     }
+    Pattern pattern() const { return spec_.pattern; }
     /// Linear colour of the surface itself.
     Vec3d albedo_at(const SurfacePoint& p) const {
         const auto part = static_cast<size_t>(p.part);
@@ -348,7 +367,7 @@ class Object {
             }
             return texture_at(u, v);
         }
-        return albedo(place);
+        return albedo(place, spec_.pattern);
     }
     /// Height of the lowest point along an axis.
     double lowest(const Vec3d& up) const {
@@ -499,7 +518,7 @@ Image8 photograph(const Object& object, const Camera& camera, const Image8& cove
                 if (surface && object.hit({lifted, key})) wood *= 0.35;
                 if (surface && look.table_reflection > 0)
                     if (const auto t = object.hit({lifted, (ray.direction - 2 * down * place.up_scene).normalized()}))
-                        wood = (1 - look.table_reflection) * wood + look.table_reflection * 0.7 * albedo((lifted + *t * (ray.direction - 2 * down * place.up_scene) - object.centre()) / object.radius());
+                        wood = (1 - look.table_reflection) * wood + look.table_reflection * 0.7 * albedo((lifted + *t * (ray.direction - 2 * down * place.up_scene) - object.centre()) / object.radius(), object.pattern());
                 return wood;
             }
         }
@@ -613,6 +632,13 @@ std::string frame_name(size_t i, const char* extension) {
 
 }  // namespace
 
+Pattern pattern_called(const std::string& name) {
+    if (name == "clay") return Pattern::Clay;
+    if (name == "checks") return Pattern::Checks;
+    if (name == "plain") return Pattern::Plain;
+    throw InputError("synth: pattern '" + name + "' is none of clay, checks, plain");
+}
+
 SyntheticSpec builtin_spec(const std::string& name) {
     SyntheticSpec spec;
     spec.name = name;
@@ -626,6 +652,8 @@ SyntheticSpec builtin_spec(const std::string& name) {
     };
     if (name == "cup") {
         add(Solid::Kind::Cup, {0.45, 0.5, 0.06}, {0, 0, 0}, {0, 0, 20});
+    } else if (name == "bowl") {
+        add(Solid::Kind::Bowl, {0.5, 0.14, 0.2}, {0, 0, 0}, {0, 0, 0});
     } else if (name == "ellipsoids") {
         add(Solid::Kind::Ellipsoid, {0.55, 0.35, 0.3}, {0, 0, 0}, {10, 20, 30});
         add(Solid::Kind::Ellipsoid, {0.2, 0.25, 0.45}, {0.35, 0.1, 0.3}, {25, -15, 0});
@@ -642,7 +670,7 @@ SyntheticSpec builtin_spec(const std::string& name) {
         add(Solid::Kind::Box, {0.1, 0.45, 0.4}, {-0.25, 0, 0}, {0, 0, 10});
         spec.solids.back().color = Vec3d(0.05, 0.25, 0.55);
     } else {
-        throw UsageError("synth: no built-in object '" + name + "' (cup, ellipsoids, boxes, torus, pair), and no such spec (.json) or mesh (.ply, .obj, .stl)");
+        throw UsageError("synth: no built-in object '" + name + "' (cup, bowl, ellipsoids, boxes, torus, pair), and no such spec (.json) or mesh (.ply, .obj, .stl)");
     }
     return spec;
 }

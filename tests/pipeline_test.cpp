@@ -5,9 +5,11 @@
 #include <chrono>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
 #include <thread>
 
 #include "io_image.h"
+#include "statistics.h"
 #include "support/dented_ball.h"
 #include "support/scenes.h"
 #include "vdbcarve/bundle.h"
@@ -1196,12 +1198,77 @@ TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
     const json again = run();
     EXPECT_TRUE(Job::reused(again, "stereo"));
     EXPECT_EQ(read_text(folder / "out/mesh.ply"), mesh);
+    EXPECT_GT(io::read_image8(folder / "out/stereo.png").width, 1000);
+    EXPECT_FALSE(fs::exists(folder / "out/depth"));
+    fs::create_directories(folder / "out/depth");
+    write_text(folder / "out/depth/mine.txt", "not ours");
+    o.stereo_maps = true;
+    EXPECT_FALSE(Job::reused(run(), "stereo"));  // they had not been kept
+    EXPECT_TRUE(Job::reused(run(), "stereo"));
+    EXPECT_EQ(read_text(folder / "out/mesh.ply"), mesh);
+    // Depths in the file are those of lines of sight that meet the ball.
+    const cv::Mat depth = cv::imread((folder / "out/depth/0.depth.tiff").string(), cv::IMREAD_UNCHANGED);
+    const Image8 sure = io::read_image8(folder / "out/depth/0.confidence.png");
+    ASSERT_EQ(depth.type(), CV_32FC1);
+    ASSERT_EQ(depth.cols, sure.width);
+    std::vector<double> off;
+    for (int y = 0; y < depth.rows; ++y)
+        for (int x = 0; x < depth.cols; ++x) {
+            const float d = depth.at<float>(y, x);
+            EXPECT_EQ(d > 0, sure.at(x, y) > 0);
+            const Camera& camera = dented.cameras[0];
+            const Camera::Ray ray = camera.ray(Vec2d(x + 0.5, y + 0.5));
+            if (const auto t = DentedBall().hit(ray); t && d > 0) off.push_back(std::fabs(static_cast<double>(d) - (camera.camera_from_world * (ray.origin + *t * ray.direction)).z()));
+        }
+    ASSERT_GT(off.size(), 1000u);
+    EXPECT_LT(median(off), 0.01);
+    o.stereo_maps = false;
+    run();
+    EXPECT_FALSE(fs::exists(folder / "out/depth/0.depth.tiff"));
+    EXPECT_TRUE(fs::exists(folder / "out/depth/mine.txt"));
     o.color_leave_out = 2;  // views that are held back are held back from depths, too
     EXPECT_FALSE(Job::reused(run(), "stereo"));
     o.occupancy = true;
     EXPECT_THROW(run(), UsageError);
     o.occupancy = o.use_stereo = false;
     EXPECT_THROW(run(), UsageError);  // --stereo-scale without it
+    o.stereo = {};
+    run();
+    EXPECT_FALSE(fs::exists(folder / "out/stereo.png"));
+}
+
+// What silhouettes leave open of the cameras is what depths would be wrong by: texture closes it first.
+TEST(Pipeline, CamerasOfStereoAreRefinedByTexture) {
+    TemporaryFolder folder;
+    SyntheticSpec spec = small_spec("ellipsoids", 30, 480, 360);
+    spec.pattern = Pattern::Checks;
+    spec.rig.shake_angle_deg = 2;
+    spec.rig.shake_elevation_deg = 2;
+    spec.rig.shake_position = spec.rig.shake_look_at = 0.01;
+    Progress quiet;
+    const SyntheticScene scene = synthesize(spec, quiet);
+    write_scene(scene, folder / "scene");
+    ReconstructOptions o;
+    o.views.scene = folder / "scene";
+    o.views.cameras = "none";
+    o.output = folder / "out";
+    o.resolution = 48;
+    o.mesh_formats = {"ply"};
+    o.report = false;
+    o.last_stage = LastStage::Align;
+    std::vector<Vec3d> points;
+    for (size_t n = 0; n < scene.truth.vertices.size(); n += 50) points.emplace_back(scene.truth.vertices[n][0], scene.truth.vertices[n][1], scene.truth.vertices[n][2]);
+    const auto error_px = [&](bool stereo, size_t fewest_tracks) {
+        o.use_stereo = stereo;
+        EXPECT_GE(json::parse(reconstruct(o, quiet).report_json)["align"]["features"]["count"].get<size_t>(), fewest_tracks);
+        ViewsOptions found;
+        found.scene = folder / "scene";
+        found.cameras = folder / "out/cameras.json";
+        return compare_cameras(load_views(found, quiet).cameras(), scene.views.cameras(), points).reprojection_rms_px;
+    };
+    const double silhouettes = error_px(false, 0), texture = error_px(true, 100);
+    EXPECT_LT(texture, 0.8 * silhouettes);
+    EXPECT_LT(texture, 0.5);
 }
 
 TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {
@@ -1337,6 +1404,45 @@ TEST(Synthetic, MeshAndSolidsGiveTheSameMasks) {
     }
 }
 
+// A disc less a ball's cap; rays end where its value is nought; patterns are what they are called.
+TEST(Synthetic, TheBowlHasItsClosedForm) {
+    SyntheticSpec spec = small_spec("bowl", 6, 200, 150);
+    spec.rig.elevation_deg = 40;
+    spec.look.flat = true;
+    Progress quiet;
+    const SyntheticScene scene = synthesize(spec, quiet);
+    const double radius = 0.5, height = 0.28, depth = 0.2, rim = 0.86 * radius, pi = std::numbers::pi;
+    const double volume = pi * radius * radius * height - pi * depth * (3 * rim * rim + depth * depth) / 6;
+    EXPECT_NEAR(measure(scene.truth).volume, volume, 0.005 * volume);
+    const Solid& bowl = spec.solids.front();
+    EXPECT_NEAR(bowl.value({0, 0, 0.14}), 0.2, 1e-9);   // above the deepest place
+    EXPECT_NEAR(bowl.value({0, 0, -0.14 + 0.04}), -0.04, 1e-9);
+    size_t inside = 0;
+    for (const View& v : scene.views.views)
+        for (int y = 5; y < 150; y += 10)
+            for (int x = 5; x < 200; x += 10) {
+                const Camera::Ray ray = v.camera.ray(Vec2d(x, y));
+                const auto t = bowl.hit(ray);
+                if (!t) continue;
+                const Vec3d p = ray.origin + *t * ray.direction;
+                EXPECT_NEAR(bowl.value(p), 0, 1e-4);
+                inside += p.z() < 0.1 && std::hypot(p.x(), p.y()) < 0.4;
+            }
+    EXPECT_GT(inside, 20u);
+    const auto colors = [&](Pattern pattern) {
+        spec.pattern = pattern;
+        std::set<std::array<uint8_t, 3>> out;
+        const SyntheticScene s = synthesize(spec, quiet);
+        for (int y = 0; y < 150; ++y)
+            for (int x = 0; x < 200; ++x)
+                if (s.masks[0].coverage.at(x, y) == 255) out.insert({s.photos[0].at(x, y, 0), s.photos[0].at(x, y, 1), s.photos[0].at(x, y, 2)});
+        return out.size();
+    };
+    EXPECT_EQ(colors(Pattern::Plain), 1u);
+    EXPECT_GT(colors(Pattern::Checks), 1u);
+    EXPECT_GT(colors(Pattern::Clay), 100u);
+}
+
 // Two sittings, a lens, breathing, an arc: masks belong to the true cameras all the same.
 TEST(Synthetic, HardShootsStayConsistent) {
     struct Variant {
@@ -1432,6 +1538,10 @@ TEST(Synthetic, SpecsAreReadAndMistakesNamed) {
         write_text(folder / "bad.json", text);
         EXPECT_NE(error_of(ExitCode::Input, [&] { read_spec(folder / "bad.json"); }).find(part), std::string::npos) << text;
     }
+    write_text(folder / "bowl.json", R"({"builtin":"bowl","pattern":"checks"})");
+    EXPECT_EQ(read_spec(folder / "bowl.json").pattern, Pattern::Checks);
+    write_text(folder / "bad.json", R"({"builtin":"bowl","pattern":"tartan"})");
+    EXPECT_NE(error_of(ExitCode::Input, [&] { read_spec(folder / "bad.json"); }).find("tartan"), std::string::npos);
     for (const char* name : {"cup.json", "ellipsoids_dome.json", "turntable_cup.json"}) read_spec(std::string(VDBCARVE_SOURCE_DIR) + "/data/" + name);
 }
 

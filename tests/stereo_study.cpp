@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stereo with other settings than the usual ones, against the truth: what src/stereo.md's tables are made with.
 //
-//   vdbcarve_stereo_study FOLDER N [--cpu] [--meshes PREFIX] [name=value,name=value ...]
+//   vdbcarve_stereo_study SCENE N [--cpu] [--meshes PREFIX] [--synth name=value,…] [--pose-noise PX] [name=value,name=value …]
 //
-// FOLDER is a packed scene with photographs (tests/pack_scene.cpp), and may hold truth.ply; N the voxels along the longest side. A row for the hull and one for each list of settings ("usual": none changed).
+// SCENE is a packed scene with photographs (tests/pack_scene.cpp), which may hold truth.ply; or what `vdbcarve synth` takes, a built-in object or a closed mesh, photographed here as --synth says (rings of
+// 36 views of 1024 x 768 else), whose distances are in percent of its longest side. N is the voxels along the longest side of its bounds. --pose-noise turns every camera about its centre, so that pictures move by that much
+// (standard deviation, along either axis). A row for the hull and one for each list of settings ("usual": none changed).
 #include <openvdb/openvdb.h>
 
 #include <chrono>
@@ -11,6 +13,7 @@
 #include <cstdlib>
 #include <functional>
 #include <map>
+#include <random>
 #include <sstream>
 
 #include "support/packed_scene.h"
@@ -22,6 +25,7 @@
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/stereo.h"
+#include "vdbcarve/synthetic.h"
 
 namespace {
 
@@ -29,43 +33,79 @@ using namespace vdbcarve;
 
 int median = 0;  ///< passes afterwards
 
-StereoOptions settings(const std::string& list) {
-    StereoOptions o;
-    median = 0;
-    const std::map<std::string, std::function<void(double)>> names{{"pairs", [&](double v) { o.pairs = static_cast<int>(v); }},
-                                                                   {"scale", [&](double v) { o.scale = static_cast<int>(v); }},
-                                                                   {"levels", [&](double v) { o.levels = static_cast<int>(v); }},
-                                                                   {"coarser", [&](double v) { o.coarser_weight = v; }},
-                                                                   {"passes", [&](double v) { o.passes = static_cast<int>(v); }},
-                                                                   {"least_angle", [&](double v) { o.least_angle_deg = v; }},
-                                                                   {"most_angle", [&](double v) { o.most_angle_deg = v; }},
-                                                                   {"depth", [&](double v) { o.depth_share = v; }},
-                                                                   {"cost", [&](double v) { o.trust.most_cost = v; }},
-                                                                   {"contrast", [&](double v) { o.trust.least_contrast = v; }},
-                                                                   {"margin", [&](double v) { o.trust.least_margin = v; }},
-                                                                   {"agreeing", [&](double v) { o.trust.agreeing = static_cast<int>(v); }},
-                                                                   {"agreement", [&](double v) { o.trust.agreement_px = v; }},
-                                                                   {"normal", [&](double v) { o.trust.normal_deg = v; }},
-                                                                   {"rim", [&](double v) { o.trust.rim_px = v; }},
-                                                                   {"reach", [&](double v) { o.reach_share = v; }},
-                                                                   {"median", [](double v) { median = static_cast<int>(v); }},
-                                                                   {"truncation", [&](double v) { o.truncation_vox = v; }},
-                                                                   {"weight", [&](double v) { o.least_weight = v; }}};
+using Setters = std::map<std::string, std::function<void(const std::string&)>>;
+
+void set_all(const std::string& list, const Setters& names) {
     std::istringstream words(list);
     for (std::string word; list != "usual" && std::getline(words, word, ',');) {
         const size_t equals = word.find('=');
         if (equals == std::string::npos || !names.count(word.substr(0, equals))) throw UsageError(word + ": is no setting");
-        names.at(word.substr(0, equals))(std::atof(word.c_str() + equals + 1));
+        names.at(word.substr(0, equals))(word.substr(equals + 1));
     }
+}
+
+StereoOptions settings(const std::string& list) {
+    StereoOptions o;
+    median = 0;
+    const auto number = [](auto& to) { return [&to](const std::string& v) { to = static_cast<std::remove_reference_t<decltype(to)>>(std::atof(v.c_str())); }; };
+    set_all(list, {{"pairs", number(o.pairs)}, {"scale", number(o.scale)}, {"levels", number(o.levels)}, {"coarser", number(o.coarser_weight)}, {"passes", number(o.passes)},
+                   {"least_angle", number(o.least_angle_deg)}, {"most_angle", number(o.most_angle_deg)}, {"depth", number(o.depth_share)},
+                   {"cost", number(o.trust.most_cost)}, {"contrast", number(o.trust.least_contrast)}, {"margin", number(o.trust.least_margin)}, {"agreeing", number(o.trust.agreeing)},
+                   {"agreement", number(o.trust.agreement_px)}, {"normal", number(o.trust.normal_deg)}, {"rim", number(o.trust.rim_px)},
+                   {"reach", number(o.reach_share)}, {"median", number(median)}, {"truncation", number(o.truncation_vox)}, {"weight", number(o.least_weight)}});
     return o;
 }
 
-void print_row(const std::string& name, const Mesh& mesh, const Mesh& truth, Progress& progress) {
+/// A shoot of a built-in object or a mesh, and its truth.
+test::PackedScene photographed(const std::string& object, const std::string& list, Mesh& truth, Progress& progress) {
+    SyntheticSpec spec;
+    if (std::filesystem::is_regular_file(object)) spec.mesh = read_mesh(object);
+    else spec = builtin_spec(object);
+    spec.rig.kind = Rig::Kind::Rings;
+    int views = 36;
+    double low = 0, high = 35;  ///< elevations of the rings, degrees
+    spec.rig.width_px = 1024;
+    spec.rig.height_px = 768;
+    const auto number = [](auto& to) { return [&to](const std::string& v) { to = static_cast<std::remove_reference_t<decltype(to)>>(std::atof(v.c_str())); }; };
+    set_all(list, {{"views", number(views)}, {"width", number(spec.rig.width_px)}, {"height", number(spec.rig.height_px)}, {"gloss", number(spec.look.gloss)}, {"noise", number(spec.look.noise)}, {"flat", number(spec.look.flat)}, {"low", number(low)}, {"high", number(high)},
+                   {"pattern", [&](const std::string& v) { spec.pattern = pattern_called(v); }},
+                   {"motion", [&](const std::string& v) { spec.rig.motion = v == "turntable" ? Rig::Motion::Turntable : Rig::Motion::Camera; }},
+                   {"rig", [&](const std::string& v) { spec.rig.kind = v == "dome" ? Rig::Kind::Dome : v == "orbit" ? Rig::Kind::Orbit : Rig::Kind::Rings; }}});
+    spec.rig.views = views;
+    spec.rig.rings = {{(views + 1) / 2, low}, {views / 2, high}};
+    SyntheticScene scene = synthesize(spec, progress);
+    test::PackedScene out;
+    for (const View& v : scene.views.views) {
+        out.names.push_back(v.name);
+        out.cameras.push_back(v.camera);
+    }
+    out.masks = std::move(scene.masks);
+    for (Image8& photo : scene.photos) out.photos.push_back(Photo{std::move(photo)});
+    truth = std::move(scene.truth);
+    out.bounds = automatic_bounds(out.inputs(), out.mask_views(), 0, {}, progress);
+    return out;
+}
+
+void shake(std::vector<Camera>& cameras, double pixels) {
+    std::mt19937 dice(7);
+    std::normal_distribution<double> off(0, pixels);
+    for (Camera& c : cameras) {
+        const Vec3d turn(off(dice) / c.intrinsics.fy, off(dice) / c.intrinsics.fx, 0);
+        const Rigid3 small{Eigen::AngleAxisd(turn.norm(), turn.norm() > 0 ? Vec3d(turn.normalized()) : Vec3d::UnitX()).toRotationMatrix(), Vec3d::Zero()};
+        c.camera_from_world = small * c.camera_from_world;
+    }
+}
+
+void print_row(const std::string& name, const Mesh& mesh, const Mesh& truth, bool percent, Progress& progress) {
     std::printf("%-40s", name.c_str());
     if (!truth.triangles.empty()) {
         EvaluateOptions o;
         const Evaluation e = evaluate(mesh, truth, o, progress);
-        std::printf(" excess %6.2f %% lost %5.2f %% IoU %.4f | accuracy %.3f p90 %.3f | completeness %.3f, %.1f %% | normals %.1f", 100 * e.volume_excess, 100 * e.truth_lost, e.iou, e.to_truth.mean, e.to_truth.p90, e.from_truth.mean, 100 * e.from_truth.within, e.normal_error_mean_deg);
+        Box3d box;
+        for (const auto& v : truth.vertices) box.extend(Vec3d(v[0], v[1], v[2]));
+        const double unit = percent ? 100 / box.sizes().maxCoeff() : 1;
+        std::printf(" excess %6.2f %% lost %5.2f %% IoU %.4f | accuracy %.3f p90 %.3f p95 %.3f | completeness %.3f, %.1f %% | chamfer %.4f | normals %.1f", 100 * e.volume_excess, 100 * e.truth_lost, e.iou, unit * e.to_truth.mean, unit * e.to_truth.p90,
+                    unit * e.to_truth.p95, unit * e.from_truth.mean, 100 * e.from_truth.within, 0.5 * unit * (e.to_truth.mean + e.from_truth.mean), e.normal_error_mean_deg);
     }
     std::printf("\n");
     std::fflush(stdout);
@@ -74,24 +114,31 @@ void print_row(const std::string& name, const Mesh& mesh, const Mesh& truth, Pro
 }  // namespace
 
 int main(int argc, char** argv) {
-    if (argc < 3) return std::fprintf(stderr, "usage: vdbcarve_stereo_study FOLDER N [--cpu] [--meshes PREFIX] [name=value,name=value ...]\n"), 2;
+    if (argc < 3) return std::fprintf(stderr, "usage: vdbcarve_stereo_study SCENE N [--cpu] [--meshes PREFIX] [--synth name=value,...] [--pose-noise PX] [name=value,name=value ...]\n"), 2;
     openvdb::initialize();
     try {
         const std::filesystem::path folder = argv[1];
         const int resolution = std::atoi(argv[2]);
         bool cpu = false;
-        std::string meshes;
+        std::string meshes, synth = "usual";
+        double pose_noise_px = 0;
         std::vector<std::string> lists;
         for (int a = 3; a < argc; ++a) {
             const std::string word = argv[a];
             if (word == "--cpu") cpu = true;
             else if (word == "--meshes" && a + 1 < argc) meshes = argv[++a];
+            else if (word == "--synth" && a + 1 < argc) synth = argv[++a];
+            else if (word == "--pose-noise" && a + 1 < argc) pose_noise_px = std::atof(argv[++a]);
             else lists.push_back(word);
         }
         if (lists.empty()) lists = {"usual"};
         Progress progress;
-        const test::PackedScene scene = test::read_packed_scene(folder);
-        const Mesh truth = std::filesystem::exists(folder / "truth.ply") ? read_mesh(folder / "truth.ply") : Mesh();
+        const bool packed = std::filesystem::is_directory(folder);
+        Mesh truth;
+        test::PackedScene scene = packed ? test::read_packed_scene(folder) : photographed(folder, synth, truth, progress);
+        if (packed && std::filesystem::exists(folder / "truth.ply")) truth = read_mesh(folder / "truth.ply");
+        shake(scene.cameras, pose_noise_px);
+        std::printf("%s %d %s pose noise %g px\n", folder.filename().c_str(), resolution, synth.c_str(), pose_noise_px);
         CarveOptions c;
         c.bounds_world = scene.bounds;
         c.lattice.voxel_size = scene.bounds.sizes().maxCoeff() / resolution;
@@ -103,7 +150,7 @@ int main(int argc, char** argv) {
         std::vector<CarveInput> inputs = scene.inputs();
         for (size_t v = 0; v < inputs.size(); ++v) inputs[v].field = &fields[v];
         const openvdb::FloatGrid::Ptr surface = level_set(carve(inputs, c, progress).hull, {}, progress);
-        print_row("hull", extract_mesh(*surface, {}, progress), truth, progress);
+        print_row("hull", extract_mesh(*surface, {}, progress), truth, !packed, progress);
         for (const std::string& list : lists) {
             StereoOptions o = settings(list);
             o.backend = choose_backend(cpu ? Backend::Cpu : Backend::Auto, 0);
@@ -119,7 +166,7 @@ int main(int argc, char** argv) {
             }
             const Mesh mesh = extract_mesh(*result, {}, progress);
             std::printf("%zu pieces ", component_volumes(*result).size());
-            print_row(list, mesh, truth, progress);
+            print_row(list, mesh, truth, !packed, progress);
             size_t object = 0, matched = 0, trusted = 0;
             for (const StereoViewStatistics& v : r.views) object += v.object_pixels, matched += v.matched_pixels, trusted += v.trusted_pixels;
             std::printf("    %s, scale %d: %zu pixels, %.1f %% matched, %.1f %% trusted; %.3f s:", r.backend_used.c_str(), r.scale, object, 100.0 * static_cast<double>(matched) / static_cast<double>(object), 100.0 * static_cast<double>(trusted) / static_cast<double>(object), seconds);

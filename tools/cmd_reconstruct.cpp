@@ -347,6 +347,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
         add_choice<bool>(*app, "--stereo", o.use_stereo, {{"off", false}, {"on", true}}, "on: carve what silhouettes cannot see (concavities) by the photographs' depths, inside the hull; needs texture. off (default)")->group("Stereo");
         app->add_option("--stereo-scale", o.stereo.scale, "pixels of a photograph a side of one that is compared: 1 finest; 0: 1 on a GPU, 2 on a CPU")->capture_default_str()->check(CLI::Range(0, 16))->group("Stereo");
         app->add_option("--stereo-depth", o.stereo.depth_share, "how deep behind the hull depths are searched, as a share of the object's size")->capture_default_str()->check(CLI::Range(0.01, 1.0))->group("Stereo");
+        app->add_flag("--stereo-maps", o.stereo_maps, "OUT/depth gets every view's depths (32-bit float .tiff, along the camera's z, 0: none) and how sure they are (.png)")->group("Stereo");
         app->add_option("--stereo-levels", o.stereo.levels, "sizes of photographs that are compared, each half of the one before")->capture_default_str()->check(CLI::Range(1, 4))->group("Stereo");
         app->add_option_function<std::string>("--filter", [raw](const std::string& text) {
             raw->options.filters.reset();

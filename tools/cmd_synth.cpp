@@ -22,7 +22,7 @@ struct Raw {
     std::optional<int> sittings, jpeg, holes, blobs;
     bool table = false, exif = false, flat = false, plates = false;
     std::optional<double> exposure_jitter, light_drift, spill, film;
-    std::string texture, backdrop;
+    std::string texture, pattern, backdrop;
 };
 
 SyntheticSpec spec_of(const Raw& raw) {
@@ -75,6 +75,7 @@ SyntheticSpec spec_of(const Raw& raw) {
     }
     PhotoLook& look = spec.look;
     if (!raw.texture.empty()) spec.texture = read_texture(raw.texture);
+    if (!raw.pattern.empty()) spec.pattern = pattern_called(raw.pattern);
     set(look.gloss, raw.gloss);
     set(look.exposure_jitter, raw.exposure_jitter);
     set(look.light_drift, raw.light_drift);
@@ -110,7 +111,7 @@ Command add_synth(CLI::App& program) {
     auto raw = std::make_shared<Raw>();
     CLI::App* app = program.add_subcommand("synth", "make a synthetic shoot: photos, exact soft masks, cameras, truth");
     app->fallthrough();
-    app->add_option("object", raw->object, "cup, ellipsoids, boxes, torus, pair, a spec (.json) or a closed mesh (.ply, .obj, .stl)")->required();
+    app->add_option("object", raw->object, "cup, bowl, ellipsoids, boxes, torus, pair, a spec (.json) or a closed mesh (.ply, .obj, .stl)")->required();
     app->add_option("-o,--output", raw->output, "folder for the scene")->required();
     app->add_option("--rig", raw->rig, "orbit, rings (level and 35 degrees) or dome")->check(CLI::IsMember({"orbit", "rings", "dome"}));
     app->add_option("--views", raw->views, "number of views (36)")->check(CLI::Range(1, 10000));
@@ -135,6 +136,7 @@ Command add_synth(CLI::App& program) {
     app->add_option("--jpeg", raw->jpeg, "photos as .jpg of this quality")->check(CLI::Range(1, 100))->group("Camera");
     app->add_flag("--exif", raw->exif, ".jpg with the focal length in EXIF")->group("Camera");
     app->add_option("--texture", raw->texture, "picture for a mesh with texture coordinates (.obj)")->group("Light");
+    app->add_option("--pattern", raw->pattern, "of what has no colours: clay (veins and blotches), checks (repeat themselves), plain (one colour)")->check(CLI::IsMember({"clay", "checks", "plain"}))->group("Light");
     app->add_option("--exposure-jitter", raw->exposure_jitter, "photographs' exposures are off by up to this share")->check(CLI::Range(0.0, 0.9))->group("Light");
     app->add_option("--backdrop", raw->backdrop, "r,g,b: a cloth of this colour (linear, 0..1) behind everything, unevenly lit")->group("Light");
     app->add_option("--spill", raw->spill, "share of the cloth's light on the object's rim")->check(CLI::Range(0.0, 1.0))->group("Light");

@@ -68,7 +68,7 @@ class DevicePipeline {
     /// Colours the surface, which must be `surface`. Masks and fields on the device are replaced by colouring's own. Errors like color().
     ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress);
 
-    /// Carves the surface, which must be `surface`, by depths found on the device; fusing them is the host's. The surface on the device stays. Errors like stereo().
+    /// Carves the surface, which must be `surface`, by depths found and fused on the device, whose surface then is the result's. Errors like stereo().
     StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress);
 
     /// Filters the surface in its place. The result's grid and counts of pieces are not set: surface() brings it home. Errors like filter().

@@ -78,6 +78,7 @@ struct ReconstructOptions {
 
     bool use_stereo = false;                         ///< carve concavities by the photographs' depths
     StereoOptions stereo;                            ///< backend and device are set by the job
+    bool stereo_maps = false;                        ///< every view's depths and how sure they are, as pictures in OUT/depth
     /// How the surface is coloured; mode None: not. Gains, backend, device and `up` are set by the job; `batch` is lowered to keep within memory_limit.
     ColorOptions color;
     bool color_from_photos = false;                  ///< vertex colours straight from the photographs, not from the volume

@@ -18,7 +18,7 @@ namespace vdbcarve {
 /// What a depth needs, to be believed. Pixels are those of the working size, so that a finer photograph asks for a finer match.
 struct StereoTrust {
     double most_cost = 0.5;         ///< 1 - ZNCC, mean of the better half of the views
-    double least_contrast = 0.01;   ///< standard deviation of grey in the window, of 1
+    double least_contrast = 0.005;  ///< standard deviation of grey in the window, of 1
     double least_margin = 0.02;       ///< by which it costs less than any other depth of the search, 3 px or more away
     int agreeing = 2;                ///< other views that find the same
     double agreement_px = 1.0;       ///< as far apart as that

@@ -20,7 +20,8 @@ struct Solid {
         Ellipsoid,  ///< semi-axes size[0..2]
         Box,        ///< half edges size[0..2]
         Torus,      ///< around z: size[0] ring radius, size[1] tube radius
-        Cup         ///< around z, open at the top: size[0] outer radius, size[1] half height, size[2] wall; with a handle along +x
+        Cup,        ///< around z, open at the top: size[0] outer radius, size[1] half height, size[2] wall; with a handle along +x
+        Bowl        ///< around z: a disc of radius size[0] and half height size[1], a ball's cap hollowed out of its top, size[2] deep and 0.86 of it wide
     };
     Kind kind = Kind::Ellipsoid;
     Vec3d size = Vec3d::Ones();
@@ -34,6 +35,9 @@ struct Solid {
     std::optional<double> hit(const Camera::Ray& ray_world) const;
     /// Radius of a ball around world_from_solid.translation that holds the solid.
     double reach() const;
+
+  private:
+    double value_here(const Vec3d& point_solid) const;
 };
 
 /// How the cameras stand. The object's middle is looked at, z is up.
@@ -98,8 +102,16 @@ struct MaskDamage {
     bool any() const { return noise_px > 0 || dilate_px != 0 || ((holes > 0 || blobs > 0) && share > 0); }
 };
 
+/// What an object's colours are where nothing else says so.
+enum class Pattern {
+    Clay,    ///< veins and blotches of all sizes
+    Checks,  ///< repeats itself along x, y and z
+    Plain    ///< one colour
+};
+
 struct SyntheticSpec {
     std::string name = "object";
+    Pattern pattern = Pattern::Clay;
     std::vector<Solid> solids;       ///< their union; empty when `mesh` is given
     Mesh mesh;                       ///< a closed mesh instead
     Image8 texture;                  ///< of the mesh, sRGB; needs its texcoords
@@ -122,8 +134,11 @@ struct SyntheticScene {
     Mesh truth;                      ///< with the colours of surface_colors()
 };
 
-/// The built-in objects: "ellipsoids", "boxes", "torus", "cup", "pair" (two solids apart, one before the other). Throws UsageError for another name.
+/// The built-in objects: "ellipsoids", "boxes", "torus", "cup", "bowl", "pair" (two solids apart, one before the other). Throws UsageError for another name.
 SyntheticSpec builtin_spec(const std::string& name);
+
+/// "clay", "checks" or "plain". Throws InputError for another name.
+Pattern pattern_called(const std::string& name);
 
 /// A picture for SyntheticSpec::texture. Throws InputError.
 Image8 read_texture(const std::filesystem::path& file);

@@ -181,7 +181,6 @@ constexpr float kDown[kWindowSamples] = {-2, -2, -2, -2, -2, -1, -1, -1, -1, -1,
 
 /// 1 - ZNCC of the window and what another view shows of the same plane; kNoCost where that is not all in the picture.
 VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, const StereoWindow& w, const StereoPlane& plane, float u, float v) {
-    constexpr int kReach = (kWindowSide - 1) / 2;
     constexpr float kStep = static_cast<float>(kWindowStep_px);
     const float* m = pair.from_pixel;
     float at[3], across[3], down[3];
@@ -193,6 +192,7 @@ VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, co
     float mean = 0.f, square = 0.f, product = 0.f;
     const float width = static_cast<float>(other.width - 1), height = static_cast<float>(other.height - 1);
 #if defined(__CUDA_ARCH__)
+    constexpr int kReach = (kWindowSide - 1) / 2;
     for (int n = 0; n < kWindowSamples; ++n) {
         const float fi = static_cast<float>(n % kWindowSide - kReach), fj = static_cast<float>(n / kWindowSide - kReach);
         const float z = at[2] + fi * across[2] + fj * down[2];
@@ -243,16 +243,20 @@ VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, co
     return 1.f - product / std::sqrt((w.variance + kLeastVariance) * (variance + kLeastVariance));
 }
 
-/// Mean of the better half of the views' costs (at least two): the others do not see the place, or see it badly.
-VDBCARVE_HD float plane_cost(const StereoReference& r, const StereoWindow& w, const StereoPlane& plane, float u, float v) {
+/// Mean of the better half of the views' costs (at least two): the others do not see the place, or see it badly. Views are no longer asked once it cannot be less than `enough`, and that is returned.
+VDBCARVE_HD float plane_cost(const StereoReference& r, const StereoWindow& w, const StereoPlane& plane, float u, float v, float enough) {
     float cost[kMostStereoPairs];
+    const int half = r.pairs < 4 ? (r.pairs < 2 ? r.pairs : 2) : r.pairs / 2;
     for (int p = 0; p < r.pairs; ++p) {
         const float c = pair_cost(r.pair[p], r.other[p], w, plane, u, v);
         int at = p;
         for (; at > 0 && cost[at - 1] > c; --at) cost[at] = cost[at - 1];
         cost[at] = c;
+        // Those that are still to come may cost nothing.
+        float least = 0.f;
+        for (int n = 0; n < half - (r.pairs - 1 - p); ++n) least += cost[n];
+        if (least >= enough * static_cast<float>(half)) return enough;
     }
-    const int half = r.pairs < 4 ? (r.pairs < 2 ? r.pairs : 2) : r.pairs / 2;
     float sum = 0.f;
     for (int p = 0; p < half; ++p) sum += cost[p];
     return sum / static_cast<float>(half);
@@ -280,7 +284,7 @@ VDBCARVE_HD float thrown(StereoDice& dice) {
 VDBCARVE_HD void try_plane(const StereoReference& r, const StereoWindow& w, const StereoRange& range, const StereoPlane& plane, float u, float v, StereoBest& best) {
     if (!(plane.s >= range.lo && plane.s <= range.hi)) return;
     if (!(sight_cosine(r.lens, plane_normal(r.lens, plane, u, v), u, v) >= kLeastStereoCosine)) return;
-    const float cost = plane_cost(r, w, plane, u, v);
+    const float cost = plane_cost(r, w, plane, u, v, best.cost);
     if (cost < best.cost) best = {plane, cost};
 }
 
@@ -362,14 +366,14 @@ struct StereoTrustRule {
     float agreement_px, normal_cosine;
 };
 
-/// How much better the plane is than the best one elsewhere on the line of sight, at least three pixels away in some view: repeated patterns and blank walls have rivals.
-VDBCARVE_HD float margin_to_rivals(const StereoReference& r, const StereoWindow& w, const StereoBest& best, int x, int y) {
+/// Whether another place on the line of sight, at least three pixels away in some view, is as good but for less than the margin: repeated patterns and blank walls have such rivals.
+VDBCARVE_HD bool has_rival(const StereoReference& r, const StereoWindow& w, const StereoBest& best, float least_margin, int x, int y) {
     constexpr int kRivals = 24;
     constexpr float kApart_px = 3.f;
     const float u = static_cast<float>(x) + 0.5f, v = static_cast<float>(y) + 0.5f;
     const StereoRange range = range_of(r, y * r.image.width + x);
     const Vec3 normal = plane_normal(r.lens, best.plane, u, v);
-    float least = kNoCost;
+    const float enough = best.cost + least_margin;
     for (int n = 0; n < kRivals; ++n) {
         const float s = range.lo + (static_cast<float>(n) + 0.5f) / kRivals * (range.hi - range.lo);
         float apart = 0.f;
@@ -383,10 +387,9 @@ VDBCARVE_HD float margin_to_rivals(const StereoReference& r, const StereoWindow&
             apart = max_f(apart, dx * dx + dy * dy);
         }
         if (!(apart > kApart_px * kApart_px)) continue;
-        const float cost = plane_cost(r, w, plane_of_normal(r.lens, normal, s, u, v), u, v);
-        if (cost < least) least = cost;
+        if (plane_cost(r, w, plane_of_normal(r.lens, normal, s, u, v), u, v, enough) < enough) return true;
     }
-    return least - best.cost;
+    return false;
 }
 
 /// How likely the best plane is the surface, by what its own view and those it was compared with show; 0: not to be trusted.
@@ -394,7 +397,7 @@ VDBCARVE_HD float likelihood(const StereoReference& r, const StereoBest& best, c
     if (r.hull[y * r.image.width + x].front == 0.f || !(best.cost < rule.most_cost)) return 0.f;
     const StereoWindow w = window_at(r, x, y);
     if (!(w.variance >= rule.least_variance)) return 0.f;
-    return margin_to_rivals(r, w, best, x, y) >= rule.least_margin ? 1.f - best.cost : 0.f;
+    return has_rival(r, w, best, rule.least_margin, x, y) ? 0.f : 1.f - best.cost;
 }
 
 /// Depths of another view, to agree with.
@@ -487,6 +490,30 @@ VDBCARVE_HD void fuse_view(const FusionView& f, float i, float j, float k, float
     out.weight += weight;
     if (distance < truncation_vox) out.nearest_weight += weight;
     ++out.views;
+}
+
+/// How depths and the hull share a voxel; lengths in voxels but for `voxel` and `band`, in world units.
+struct FusionRule {
+    float voxel, band;
+    float reach, truncation;  ///< of fuse_view
+    float full_weight;        ///< from which on depths count as much as the hull; from half of it on they begin to
+    float hull_margin;        ///< by which they have to say more near the hull
+};
+
+struct FusedVoxel {
+    float value, confidence;  ///< world units; 0..1
+};
+
+/// A voxel of the hull's inside, `before`, and what the depths leave of it.
+VDBCARVE_HD FusedVoxel carved_voxel(const FusionRule& rule, const Fused& depths, float before) {
+    FusedVoxel out{before, 0.f};
+    if (depths.views < 2) return out;
+    const float trust = min_f(max_f(2.f * depths.weight / rule.full_weight - 1.f, 0.f), 1.f);
+    out.confidence = min_f(1.f, 0.5f * depths.nearest_weight / rule.full_weight);
+    const float near_hull = min_f(max_f(1.f + before / rule.band, 0.f), 1.f);
+    const float distance = (trust * (depths.sum / depths.weight) - (1.f - trust) * rule.truncation - rule.hull_margin * near_hull) * rule.voxel;
+    if (distance > before) out.value = min_f(max_f(distance, -rule.band), rule.band);
+    return out;
 }
 
 }  // namespace vdbcarve::kernel
