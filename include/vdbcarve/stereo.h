@@ -31,13 +31,13 @@ struct StereoOptions {
     int pairs = 6;                    ///< other views a view is compared with, 2..8
     double least_angle_deg = 8, most_angle_deg = 40;  ///< between their lines of sight to the object
     int scale = 0;                    ///< pixels of a photograph a side of one that is worked with: 1, 2, 4; 0: 1 on a GPU, 2 on a CPU
-    int levels = 2;                   ///< sizes of photographs that are worked with, each half of the one before: the coarser ones see less texture as more
+    int levels = 3;                   ///< sizes of photographs that are worked with, each half of the one before: the coarser ones see less texture as more
     int passes = 6;                   ///< of PatchMatch, for each
     double depth_share = 0.35;        ///< the search ends so far behind the hull's front, of the object's longest side
     StereoTrust trust;
-    double truncation_vox = 2;        ///< of distances before a depth
+    double truncation_vox = 1.5;      ///< of distances before a depth
     double reach_share = 0.01;        ///< so far behind it a depth is evidence of the object, of its longest side; at least two truncations
-    double coarser_weight = 0.25;      ///< of a level's depths against those of the finer one
+    double coarser_weight = 0.2;       ///< of a level's depths against those of the finer one
     double least_weight = 0.8;        ///< confidence x cosine, summed over views, from which on depths count as much as the hull
     double least_piece = 0.01;        ///< loose pieces of less than this share of the piece of the hull that they were part of are dropped
     Backend backend = Backend::Cpu;   ///< not Auto: see choose_backend
