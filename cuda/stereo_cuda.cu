@@ -62,10 +62,11 @@ __global__ void __launch_bounds__(kTileWidth * kTileHeight) find_agreed(StereoRe
     agreed[n] = object[n] < 2 ? 0.f : agreed_likelihood(reference, depths, rule, x, y);
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) forget_coarser(Size fine, const float* agreed, Size coarse, float* theirs) {
+__global__ void __launch_bounds__(kTileWidth * kTileHeight) forget_coarser(Size fine, const float* agreed, Size coarse, int halvings, float* theirs) {
     int x, y;
     if (!pixel_of_thread(fine, x, y)) return;
-    if (x / 2 < coarse.width && y / 2 < coarse.height && agreed[y * fine.width + x] > 0.f) theirs[y / 2 * coarse.width + x / 2] = 0.f;
+    const int cx = x >> halvings, cy = y >> halvings;
+    if (cx < coarse.width && cy < coarse.height && agreed[y * fine.width + x] > 0.f) theirs[cy * coarse.width + cx] = 0.f;
 }
 
 __global__ void __launch_bounds__(kTileWidth * kTileHeight) find_depths(Size size, StereoLens lens, const StereoBest* planes, const float* agreed, float* out) {
@@ -257,16 +258,18 @@ void StereoStage::agree(const std::vector<Work>& views, const StereoTrustRule& r
     stream.wait();  // `depths` goes
 }
 
-void StereoStage::leave_to_finer(size_t level, const Stream& stream, StageTimes& times) {
+void StereoStage::leave_to_finer(size_t levels, const Stream& stream, StageTimes& times) {
     Parts& p = *parts_;
-    const Parts::Level &fine = p.levels[level], &coarse = p.levels[level + 1];
     times.measure("stereo: agreement", stream, [&] {
-        for (size_t n = 0; n < fine.views.size(); ++n) {
-            const Parts::View &f = fine.views[n], &c = coarse.views[n];
-            if (!f.matched || !c.matched) continue;
-            forget_coarser<<<p.blocks(f, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>({f.width, f.height}, fine.agreed.data() + f.first, {c.width, c.height}, coarse.agreed.data() + c.first);
-            VDBCARVE_LAUNCHED();
-        }
+        // The coarsest first: what finer ones know is still whole then.
+        for (size_t l = levels; l-- > 1;)
+            for (size_t finer = 0; finer < l; ++finer)
+                for (size_t n = 0; n < p.levels[l].views.size(); ++n) {
+                    const Parts::View &f = p.levels[finer].views[n], &c = p.levels[l].views[n];
+                    if (!f.matched || !c.matched) continue;
+                    forget_coarser<<<p.blocks(f, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>({f.width, f.height}, p.levels[finer].agreed.data() + f.first, {c.width, c.height}, static_cast<int>(l - finer), p.levels[l].agreed.data() + c.first);
+                    VDBCARVE_LAUNCHED();
+                }
     });
 }
 
@@ -318,6 +321,19 @@ const float* StereoStage::depths(size_t view, const Stream& stream, StageTimes& 
     return p.likely.data() + v.first;
 }
 const float* StereoStage::confidence(size_t view) const { return parts_->levels.front().agreed.data() + parts_->levels.front().views[view].first; }
+
+void StereoStage::release() {
+    Parts& p = *parts_;
+    p.levels.clear();
+    p.grey.release();
+    p.likely.release();
+    p.object.release();
+    for (Parts::Lane& lane : p.lanes) lane.hull.release();
+    p.near.release();
+    p.solid.release();
+    p.values.release();
+    p.confidence.release();
+}
 
 size_t StereoStage::bytes() const {
     const Parts& p = *parts_;

@@ -41,8 +41,8 @@ class StereoStage {
     /// Likelihoods of what other views of those matched find, too; 0 elsewhere.
     void agree(const std::vector<Work>& views, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);
 
-    /// Depths that level + 1 is trusted with, but those where this level has one.
-    void leave_to_finer(size_t level, const Stream& stream, StageTimes& times);
+    /// Of the depths that each of the levels is trusted with, those where no finer one has any: a photograph is heard once.
+    void leave_to_finer(size_t levels, const Stream& stream, StageTimes& times);
 
     /// Pixels that see the hull, and those that have a likelihood, of all views of the level begun last (two numbers each); waits for the device.
     std::vector<uint32_t> counts(const Stream& stream) const;
@@ -64,6 +64,9 @@ class StereoStage {
     /// Trusted depths of a view of the finest level, 0 elsewhere, and confidences: device memory, until the next call.
     const float* depths(size_t view, const Stream& stream, StageTimes& times);
     const float* confidence(size_t view) const;
+
+    /// Gives the memory of all views back.
+    void release();
 
     size_t bytes() const;
 

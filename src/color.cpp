@@ -180,7 +180,7 @@ class Colorist {
                 view.width = view.height = -1;
                 continue;
             }
-            check_photo(inputs_[v], photo);
+            check_photo("color", inputs_[v], photo);
             view.texels8 = photo.pixels8.data;
             view.texels16 = photo.pixels8.empty() ? photo.pixels16.data : nullptr;
             view.channels = photo.channels();

@@ -38,13 +38,13 @@ void check_color(const openvdb::FloatGrid& surface, const std::vector<ColorInput
     }
 }
 
-void check_photo(const ColorInput& input, const PhotoView& photo) {
+void check_photo(const char* stage, const ColorInput& input, const PhotoView& photo) {
     const Intrinsics& k = input.camera.intrinsics;
     if (photo.width() != k.width_px || photo.height() != k.height_px)
-        throw InputError("color: view " + input.name + ": the photograph has " + std::to_string(photo.width()) + " x " + std::to_string(photo.height()) + " pixels, the camera " + std::to_string(k.width_px) +
+        throw InputError(std::string(stage) + ": view " + input.name + ": the photograph has " + std::to_string(photo.width()) + " x " + std::to_string(photo.height()) + " pixels, the camera " + std::to_string(k.width_px) +
                          " x " + std::to_string(k.height_px));
     const int c = photo.channels();
-    if (c != 1 && c != 3 && c != 4) throw InputError("color: view " + input.name + ": the photograph has " + std::to_string(c) + " channels; grey, RGB and RGBA are read");
+    if (c != 1 && c != 3 && c != 4) throw InputError(std::string(stage) + ": view " + input.name + ": the photograph has " + std::to_string(c) + " channels; grey, RGB and RGBA are read");
 }
 
 const std::vector<float>& linear_table(bool wide) {

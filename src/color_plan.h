@@ -38,7 +38,7 @@ DistanceOptions margin_fields();
 /// A view on the surface's lattice, without pixels and field, with a gain of 1. Its weight is 0 everywhere where the view cannot be used.
 kernel::ColorView make_color_view(const ColorInput& input, const openvdb::math::Transform& transform, const kernel::ColorBase& base);
 /// Throws InputError where the photograph does not fit its camera.
-void check_photo(const ColorInput& input, const PhotoView& photo);
+void check_photo(const char* stage, const ColorInput& input, const PhotoView& photo);
 
 kernel::ColorRule color_rule(const ColorOptions& options, const openvdb::CoordBBox& leaves);
 kernel::ColorBase color_base(const openvdb::CoordBBox& leaves);

@@ -67,7 +67,7 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
                 }
             };
             each([&](size_t v, const PhotoView& photo, size_t size) {
-                check_photo(inputs[v], photo);
+                check_photo("color", inputs[v], photo);
                 bytes += (size + 255) / 256 * 256;
             });
             uint8_t* to = p.photos.ensure(std::max<size_t>(bytes, 1));

@@ -3,8 +3,12 @@
 
 #if defined(VDBCARVE_WITH_CUDA)
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
+#include <array>
 #include <chrono>
+#include <cstring>
 #include <numeric>
 
 #include "device_parts.h"
@@ -17,32 +21,34 @@ namespace {
 FusedBlocks fuse_on_device(const FusionPlan& plan, cuda::StereoStage& stage, Fetcher& fetcher, const cuda::Stream& stream, cuda::StageTimes& times) {
     std::vector<cuda::StereoStage::FusedView> views;
     for (const FusionPlan::View& v : plan.views) views.push_back({v.level, v.view, v.fusion});
-    std::vector<std::array<int, 3>> first;
-    first.reserve(plan.blocks.size());
-    for (const openvdb::Coord& c : plan.blocks) first.push_back({c[0], c[1], c[2]});
-    const cuda::StereoStage::Fused found = stage.fuse(plan.rule, views, first, stream, times);
-    // Slots were taken as threads came.
-    std::vector<uint32_t> block(found.count), at(found.count);
-    fetcher.fetch_to(block.data(), found.block, block.size() * sizeof(uint32_t), stream);
-    std::iota(at.begin(), at.end(), 0u);
-    std::sort(at.begin(), at.end(), [&](uint32_t a, uint32_t b) { return block[a] < block[b]; });
-    std::vector<uint32_t> place(found.count);
     FusedBlocks out;
-    out.block.resize(found.count);
-    for (uint32_t n = 0; n < found.count; ++n) {
-        out.block[n] = block[at[n]];
-        place[at[n]] = n;
+    constexpr size_t kAtOnce = size_t{1} << 18;  ///< blocks: 1 GB of answers
+    for (size_t begin = 0; begin < plan.blocks.size(); begin += kAtOnce) {
+        std::vector<std::array<int, 3>> first;
+        for (size_t b = begin; b < std::min(begin + kAtOnce, plan.blocks.size()); ++b) first.push_back({plan.blocks[b][0], plan.blocks[b][1], plan.blocks[b][2]});
+        const cuda::StereoStage::Fused found = stage.fuse(plan.rule, views, first, stream, times);
+        // Slots were taken as threads came.
+        std::vector<uint32_t> block(found.count), at(found.count);
+        fetcher.fetch_to(block.data(), found.block, block.size() * sizeof(uint32_t), stream);
+        std::iota(at.begin(), at.end(), 0u);
+        std::sort(at.begin(), at.end(), [&](uint32_t a, uint32_t b) { return block[a] < block[b]; });
+        const size_t before = out.block.size();
+        std::vector<size_t> place(found.count);
+        for (uint32_t n = 0; n < found.count; ++n) {
+            out.block.push_back(static_cast<uint32_t>(begin) + block[at[n]]);
+            place[at[n]] = before + n;
+        }
+        const auto bring = [&](std::vector<float>& to, const float* from) {
+            constexpr size_t kBytes = cuda::kLeafVoxels * sizeof(float);
+            to.resize(out.block.size() * static_cast<size_t>(cuda::kLeafVoxels));
+            fetcher.fetch(from, found.count * kBytes, kBytes, stream, [&](const uint8_t* piece, size_t offset, size_t bytes) {
+                const size_t first_slot = offset / kBytes;
+                tbb::parallel_for(size_t{0}, bytes / kBytes, [&](size_t s) { std::memcpy(to.data() + place[first_slot + s] * static_cast<size_t>(cuda::kLeafVoxels), piece + s * kBytes, kBytes); });
+            });
+        };
+        bring(out.values, found.values);
+        bring(out.confidence, found.confidence);
     }
-    const auto bring = [&](std::vector<float>& to, const float* from) {
-        constexpr size_t kBytes = cuda::kLeafVoxels * sizeof(float);
-        to.resize(found.count * static_cast<size_t>(cuda::kLeafVoxels));
-        fetcher.fetch(from, found.count * kBytes, kBytes, stream, [&](const uint8_t* piece, size_t offset, size_t bytes) {
-            const size_t first_slot = offset / kBytes;
-            tbb::parallel_for(size_t{0}, bytes / kBytes, [&](size_t s) { std::memcpy(to.data() + place[first_slot + s] * static_cast<size_t>(cuda::kLeafVoxels), piece + s * kBytes, kBytes); });
-        });
-    };
-    bring(out.values, found.values);
-    bring(out.confidence, found.confidence);
     return out;
 }
 
@@ -57,7 +63,6 @@ StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std
     out.backend_used = "cuda";
     out.scale = options.scale ? options.scale : 1;
     const size_t n = inputs.size();
-    progress.begin("stereo", static_cast<size_t>(options.levels) * n + 1);
     const RenderFrame frame = stereo_frame(surface);
     const double deepest = options.depth_share * longest_side(surface), voxel = surface.voxelSize()[0];
     const kernel::StereoTrustRule rule = trust_rule(options.trust);
@@ -68,6 +73,7 @@ StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std
     };
     const std::vector<StereoLevel> levels = stereo_levels(surface, inputs, photos, out.scale, options);
     lap("photographs");
+    progress.begin("stereo", steps_of(levels) + 1);
     p.stereo.set_hull(volume.grid, frame.base, frame.box, p.stream, p.times);
     for (size_t l = levels.size(); l-- > 0;) {
         const std::vector<StereoSource>& sources = levels[l].sources;
@@ -88,12 +94,13 @@ StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std
             out.views[v].object_pixels = counts[2 * v];
             out.views[v].matched_pixels = counts[2 * v + 1];
         }
-        progress.step(n);
+        progress.step(work.size());
     }
-    for (size_t l = 0; l + 1 < levels.size(); ++l) p.stereo.leave_to_finer(l, p.stream, p.times);
+    p.stereo.leave_to_finer(levels.size(), p.stream, p.times);
     lap("match");
     const FusionPlan plan = plan_fusion(surface, levels, options);
     const FusedBlocks fused = fuse_on_device(plan, p.stereo, p.fetcher, p.stream, p.times);
+    progress.step();
     lap("fuse");
     finish_stereo(out, surface, plan, fused, options, [&](const openvdb::FloatGrid::Ptr& field, int half_width_vox) {
         p.upload(p.fused, *field);
@@ -114,6 +121,7 @@ StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std
         p.fetcher.fetch_to(m.depth.data.data(), p.stereo.depths(v, p.stream, p.times), m.depth.data.size() * sizeof(float), p.stream);
         p.fetcher.fetch_to(m.confidence.data.data(), p.stereo.confidence(v), m.confidence.data.size() * sizeof(float), p.stream);
     }
+    p.stereo.release();
     count_trusted(out);
     lap("maps home");
     return out;

@@ -170,6 +170,7 @@ class Job {
         }
         stage("level_set", [&] { return make_surface(); });
         if (o_.use_stereo) stage("stereo", [&] { return carve_by_depth(); });
+        else if (o_.stereo != StereoOptions() || o_.stereo_maps) progress_.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on");
         if (o_.color.mode != ColorMode::None) stage("color", [&] { return make_color(); });
         stage("filter", [&] { return filter_surface(); });
         stage("mesh", [&] { return make_mesh(); });
@@ -282,7 +283,6 @@ class Job {
         }
         need(o_.color.depth_vox >= 1 && o_.color.depth_vox <= 1000, "--color-depth is " + std::to_string(o_.color.depth_vox) + " layers, must be 1..1000");
         need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox, "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
-        need(o_.use_stereo || (o_.stereo == StereoOptions() && !o_.stereo_maps), "--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps are of --stereo on");
         need(!o_.use_stereo || !o_.occupancy, "--stereo on carves a level set, and --occupancy makes none");
         need(!o_.color.skip_upright || o_.color.mode == ColorMode::Best, "--paper is of --color best");
         need(o_.color_leave_out == 0 || o_.color_leave_out >= 2, "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
@@ -862,7 +862,14 @@ class Job {
         finer.centre_varies = o_.align.centre_varies;
         finer.points = o_.align.points;
         finer.seed = o_.align.seed;
-        AlignResult refined = align(found.views, masks, finer, progress_);
+        AlignResult refined;
+        try {
+            refined = align(found.views, masks, finer, progress_);
+        } catch (const UndeterminedError& e) {
+            return progress_.detail(std::string("stereo: cameras are not refined by texture: ") + e.what());
+        } catch (const InputError& e) {
+            return progress_.detail(std::string("stereo: cameras are not refined by texture: ") + e.what());
+        }
         if (refined.features < kFewest || !refined.failures.empty()) {
             progress_.detail(text_of("stereo: %zu tracks of features are too few to refine the cameras by", refined.features));
             return;
@@ -877,6 +884,7 @@ class Job {
         found.features = refined.features;
         found.features_rms_px = refined.features_rms_px;
         found.features_near = refined.features_near;
+        found.warnings.insert(found.warnings.end(), refined.warnings.begin(), refined.warnings.end());
     }
 
     /// Cameras and sittings from a file of ours about the same views.
@@ -1796,10 +1804,7 @@ class Job {
             return true;
         }
         const size_t warnings_before = progress_.warnings().size();
-        const double pixels = largest_photo_bytes() / 3 / (options.scale * options.scale), views = static_cast<double>(used_.size());
-        const double bytes = views * (largest_photo_bytes() + kStereoPerPixel * pixels * 4 / 3);
-        if (const double room = memory_limit_bytes_; room > 0 && bytes > room)
-            throw InputError(text_of("--stereo on: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB may be used. Remedy: --stereo-scale %d, or a larger --memory-limit", used_.size(), bytes / 1e9, options.scale, room / 1e9, 2 * options.scale));
+        check_stereo_memory(options);
         StereoResult result;
         const std::vector<ColorInput> inputs = color_inputs();
         const bool done = backend_ == Backend::Cuda && on_device("stereo", [&] {
@@ -1812,24 +1817,39 @@ class Job {
         surface_on_device_ = surface_on_device_ && done;
         stereo_confidence_ = result.confidence;
         json ms, of_views;
-        size_t object = 0, trusted = 0, without = 0;
+        size_t object = 0, trusted = 0, with_photo = 0, without = 0;
         for (size_t u = 0; u < inputs.size(); ++u) {
             const StereoViewStatistics& v = result.views[u];
             object += v.object_pixels;
             trusted += v.trusted_pixels;
+            with_photo += inputs[u].use;
             without += inputs[u].use && v.pairs == 0;
             of_views.push_back({{"name", inputs[u].name}, {"compared_with", v.pairs}, {"matched_share", share_of(v.matched_pixels, v.object_pixels)}, {"trusted_share", share_of(v.trusted_pixels, v.object_pixels)}});
         }
         for (const auto& [name, value] : result.milliseconds) ms[name] = value;
         report_["stereo"] = {{"scale", result.scale}, {"trusted_share", share_of(trusted, object)}, {"volume_before", result.volume_before}, {"volume", result.volume}, {"fragments_dropped", result.fragments}, {"voids_filled", result.voids}, {"milliseconds", ms}, {"views", of_views}};
         progress_.note(text_of("stereo: %.0f %% of the object's pixels have a depth that other views bear out; volume %+.2f %%", 100 * share_of(trusted, object), 100 * (result.volume / result.volume_before - 1)));
-        if (without) progress_.warn(text_of("stereo: %zu of %zu views have no two others at 8 to 40 degrees from them, and give no depth. Remedy: photographs nearer to each other", without, inputs.size()));
-        if (share_of(trusted, object) < 0.05) progress_.warn(text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs texture, and cameras right to a pixel (--method refine)", 100 * share_of(trusted, object)));
+        if (without)
+            progress_.warn(text_of("stereo: %zu of %zu views have no two others at %.0f to %.0f degrees from them, and give no depth. Remedy: photographs nearer to each other", without, with_photo, options.least_angle_deg, options.most_angle_deg));
+        if (without < with_photo && share_of(trusted, object) < 0.05) progress_.warn(text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs texture, and cameras right to a pixel (--method refine)", 100 * share_of(trusted, object)));
         draw_stereo(*hull, result);
         if (o_.stereo_maps) keep_depth_maps(maps, result.maps);
         write_vdb(file, {surface_, stereo_confidence_}, metadata());
         write_file(note_file, json{{"stereo", report_["stereo"]}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
         return false;
+    }
+
+    /// Photographs and depths of all views are in memory at once.
+    void check_stereo_memory(const StereoOptions& options) {
+        const bool gpu = backend_ == Backend::Cuda;  // keeps planes itself
+        const double pixels = largest_photo_bytes() / kPhotoBytesPerPixel, views = static_cast<double>(used_.size());
+        const auto bytes_at = [&](int scale) { return views * pixels * (kPhotoBytesPerPixel + (gpu ? kStereoPerPixelBesideGpu : kStereoPerPixel) * 4 / 3 / (scale * scale)); };
+        const double room = memory_limit() - static_cast<double>(resident_memory_bytes()), bytes = bytes_at(options.scale);
+        if (bytes <= room) return;
+        int smaller = 2 * options.scale;
+        while (smaller < 16 && bytes_at(smaller) > room) smaller *= 2;
+        const std::string remedy = smaller <= 16 && bytes_at(smaller) <= room ? text_of("--stereo-scale %d, fewer photographs", smaller) : "fewer photographs (--views)";
+        throw InputError(text_of("--stereo on: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB of --memory-limit are left. Remedy: %s, or a larger --memory-limit", used_.size(), bytes / 1e9, options.scale, std::max(room, 0.0) / 1e9, remedy.c_str()));
     }
 
     /// Four views, spread evenly.
@@ -1869,7 +1889,10 @@ class Job {
             for (const auto& entry : fs::recursive_directory_iterator(folder))
                 for (const char* ours : {".depth.tiff", ".confidence.png"})
                     if (entry.path().string().ends_with(ours)) old.push_back(entry.path());
-        for (const fs::path& file : old) fs::remove(file);
+        for (const fs::path& file : old) {
+            fs::remove(file);
+            for (fs::path at = file.parent_path(); at != place_ && fs::is_empty(at); at = at.parent_path()) fs::remove(at);
+        }
         if (stereo_maps_.empty() || !fs::exists(stereo_maps_)) return;
         for (const auto& entry : fs::recursive_directory_iterator(stereo_maps_)) {
             if (!entry.is_regular_file()) continue;
@@ -1879,7 +1902,7 @@ class Job {
         }
     }
     static double share_of(size_t part, size_t whole) { return whole ? static_cast<double>(part) / static_cast<double>(whole) : 0; }
-    static constexpr double kStereoPerPixel = 60;  ///< bytes: grey, plane, cost, confidence, the hull's answers
+    static constexpr double kStereoPerPixel = 40, kStereoPerPixelBesideGpu = 14;  ///< bytes of a working pixel: grey, object, plane, cost, confidence, depths; of the coarser ones a third more
 
     // --------------------------------------------------------------------------------------- colour
 
@@ -1927,12 +1950,13 @@ class Job {
         };
     }
 
+    static constexpr double kPhotoBytesPerPixel = 12;
     /// A photograph, its field and what making both needs besides.
     double largest_photo_bytes() const {
         double largest = 1;
         for (const size_t i : used_) {
             const Intrinsics& k = views_.views[i].camera.intrinsics;
-            largest = std::max(largest, 12.0 * k.width_px * k.height_px);
+            largest = std::max(largest, kPhotoBytesPerPixel * k.width_px * k.height_px);
         }
         return largest;
     }

@@ -318,7 +318,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         const fs::path file = result_ / "stereo.png";
         if (!report_.contains("stereo") || !fs::exists(file)) return;
         const json& s = report_["stereo"];
-        body_ << "<h2>Concavities</h2>\n<p>" << text_of("%.0f %% of the object's pixels have a depth that other views bear out; depths took %.2f %% off the hull's volume. Grey surface is the hull's, which nothing contradicts.", 100 * s.value("trusted_share", 0.0), 100 * (1 - s.value("volume", 0.0) / std::max(s.value("volume_before", 1.0), 1e-300)))
+        body_ << "<h2>Concavities</h2>\n<p>" << text_of("%.0f %% of the object's pixels have a depth that other views bear out; depths took %.2f %% off the hull's volume. Orange surface was carved by depth; grey surface is where the hull stands.", 100 * s.value("trusted_share", 0.0), 100 * (1 - s.value("volume", 0.0) / std::max(s.value("volume_before", 1.0), 1e-300)))
               << "</p>\n<div class=scroll><img style=\"width:100%;min-width:640px\" alt=\"photographs, their depths, and where these carved the hull\" src=\"" << data_uri("image/jpeg", io::encode_jpeg(io::read_image8(file).view(), 85, 0)) << "\"></div>\n";
     }
 

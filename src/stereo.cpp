@@ -126,20 +126,6 @@ class Matcher {
     double deepest_, voxel_;
 };
 
-/// A coarser depth stands only where no finer one does.
-void leave_to_finer(StereoLevel& coarse, const StereoLevel& fine) {
-    tbb::parallel_for(size_t{0}, coarse.maps.size(), [&](size_t v) {
-        StereoDepthMap& c = coarse.maps[v];
-        const StereoDepthMap& f = fine.maps[v];
-        if (c.planes.empty() || f.planes.empty()) return;
-        const StereoSource &from = fine.sources[v], &to = coarse.sources[v];
-        for (int y = 0; y < from.height; ++y)
-            for (int x = 0; x < from.width; ++x)
-                if (x / 2 < to.width && y / 2 < to.height && f.confidence[static_cast<size_t>(y) * static_cast<size_t>(from.width) + static_cast<size_t>(x)] > 0.f)
-                    c.confidence[static_cast<size_t>(y / 2) * static_cast<size_t>(to.width) + static_cast<size_t>(x / 2)] = 0.f;
-    });
-}
-
 }  // namespace
 
 StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress) {
@@ -158,11 +144,11 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
         device.set_surface(surface);
         return device.stereo(surface, inputs, photos, options, progress);
     }
-    progress.begin("stereo", static_cast<size_t>(options.levels) * n + 1);
     const SeenVolume volume(surface);
     lap("hull");
     std::vector<StereoLevel> levels = stereo_levels(surface, inputs, photos, out.scale, options);
     lap("photographs");
+    progress.begin("stereo", steps_of(levels) + 1);
     for (size_t l = levels.size(); l-- > 0;) {
         StereoLevel& level = levels[l];
         out.views.assign(n, {});
@@ -173,9 +159,10 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
         matcher.keep_agreed(level.maps);
         lap("agree");
     }
-    for (size_t l = 0; l + 1 < levels.size(); ++l) leave_to_finer(levels[l + 1], levels[l]);
+    leave_to_finer(levels);
     const FusionPlan plan = plan_fusion(surface, levels, options);
     const FusedBlocks fused = fuse_depths(surface, plan, levels, progress);
+    progress.step();
     lap("fuse");
     Progress quiet;
     finish_stereo(out, surface, plan, fused, options, [&](openvdb::FloatGrid::Ptr field, int half_width_vox) { return redistance(std::move(field), half_width_vox, nullptr, quiet); });

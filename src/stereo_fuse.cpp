@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "color_plan.h"
@@ -67,7 +68,7 @@ kernel::FusionView fusion_view(const StereoSource& s, const RenderFrame& frame, 
 /// A view with its depths, and how far away the farthest of every cell of pixels is: blocks behind it need not be asked about.
 struct View {
     kernel::FusionView fusion{};
-    std::vector<float> farthest_vox;  ///< 0: the cell knows nothing
+    std::vector<float> farthest_vox;  ///< minus infinity: the cell knows nothing
     int cells_per_row = 0, rows = 0;
 };
 
@@ -79,7 +80,7 @@ View with_map(const kernel::FusionView& fusion, const StereoDepthMap& map) {
     f.confidence = map.confidence.data();
     out.cells_per_row = (f.width + kCell_px - 1) / kCell_px;
     out.rows = (f.height + kCell_px - 1) / kCell_px;
-    out.farthest_vox.assign(static_cast<size_t>(out.cells_per_row) * static_cast<size_t>(out.rows), 0.f);
+    out.farthest_vox.assign(static_cast<size_t>(out.cells_per_row) * static_cast<size_t>(out.rows), -std::numeric_limits<float>::infinity());
     for (int y = 0; y < f.height; ++y)
         for (int x = 0; x < f.width; ++x) {
             const size_t at = static_cast<size_t>(y) * static_cast<size_t>(f.width) + static_cast<size_t>(x);
@@ -110,7 +111,7 @@ bool may_matter(const View& v, float i, float j, float k, float radius_vox, floa
     for (int b = y0; b <= y1; ++b)
         for (int a = x0; a <= x1; ++a) {
             const float farthest = v.farthest_vox[static_cast<size_t>(b) * static_cast<size_t>(v.cells_per_row) + static_cast<size_t>(a)];
-            if (farthest != 0.f && farthest >= first) return true;
+            if (farthest >= first) return true;
         }
     return false;
 }

@@ -22,6 +22,22 @@ void check_stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInpu
     if (o.passes < 1 || o.passes > 30) throw UsageError("stereo: passes are " + std::to_string(o.passes) + ", must be 1..30");
     if (o.levels < 1 || o.levels > 4) throw UsageError("stereo: levels are " + std::to_string(o.levels) + ", must be 1..4");
     if (!(o.depth_share > 0 && o.depth_share <= 1)) throw UsageError("stereo: the depth is not within 0..1 of the object's size");
+    const StereoTrust& t = o.trust;
+    const auto within = [](double value, double least, double most, const char* what) {
+        if (!(value >= least && value <= most)) throw UsageError(std::string("stereo: ") + what + " is " + std::to_string(value) + ", must be " + std::to_string(least) + ".." + std::to_string(most));
+    };
+    within(t.most_cost, 0, 2, "the most that a match may cost");
+    within(t.least_contrast, 0, 1, "the least contrast");
+    within(t.least_margin, 0, 2, "the margin to rivals");
+    within(t.agreeing, 1, o.pairs, "the number of views that have to agree");
+    within(t.agreement_px, 1e-3, 100, "how far apart agreeing views may be (px)");
+    within(t.normal_deg, 1, 180, "the angle between agreeing normals (degrees)");
+    within(t.rim_px, 0, 100, "the distance to the silhouette's rim (px)");
+    within(o.truncation_vox, 0.5, 100, "the truncation (voxels)");
+    within(o.reach_share, 0, 1, "how far behind a depth it is evidence (of the size)");
+    within(o.coarser_weight, 0, 1, "the weight of coarser depths");
+    within(o.least_weight, 1e-3, 1000, "the weight from which on depths count");
+    within(o.least_piece, 0, 1, "the smallest piece (of its hull's)");
     for (const ColorInput& input : inputs) {
         const Intrinsics& k = input.camera.intrinsics;
         if (input.use && (input.mask.coverage.width != k.width_px || input.mask.coverage.height != k.height_px)) throw InputError("stereo: view " + input.name + ": the mask has not the camera's size");
@@ -143,7 +159,7 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
                 s.object[static_cast<size_t>(y) * static_cast<size_t>(s.width) + static_cast<size_t>(x)] = margin >= rim_px ? 2 : 1;
             }
     });
-    // The views at the best angles: near twenty degrees parallax is good and surfaces still look alike.
+    // The nearest views that have parallax enough: surfaces look the most alike in them.
     const auto towards = [&](const Camera& c) { return c.intrinsics.orthographic ? Vec3d(-c.forward_world()) : Vec3d((c.centre_world() - object).normalized()); };
     for (const size_t v : used) {
         std::vector<std::pair<double, size_t>> at_angle;
@@ -172,7 +188,7 @@ std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const 
     for (size_t v = 0; v < n; ++v) {
         pictures[v] = photos ? view_of(loaded[v]) : inputs[v].photo;
         if (!inputs[v].use || pictures[v].empty()) continue;
-        check_photo(inputs[v], pictures[v]);
+        check_photo("stereo", inputs[v], pictures[v]);
         used.push_back(v);
         present.push_back(masks.views()[v]);
     }
@@ -181,11 +197,44 @@ std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const 
     const openvdb::CoordBBox box = leaf_box(surface);
     const openvdb::Vec3d middle = surface.indexToWorld(0.5 * (box.min().asVec3d() + box.max().asVec3d()));
     std::vector<StereoLevel> out;
+    constexpr int kLeastSide_px = 24;  ///< nearly three windows
     for (int level = 0; level < o.levels; ++level) {
+        const auto small = std::find_if(used.begin(), used.end(), [&](size_t v) { return std::min(pictures[v].width(), pictures[v].height()) / (scale << level) < kLeastSide_px; });
+        if (small != used.end() && level == 0)
+            throw InputError("stereo: view " + inputs[*small].name + ": at 1/" + std::to_string(scale) + " of its size the photograph has " + std::to_string(pictures[*small].width() / scale) + " x " + std::to_string(pictures[*small].height() / scale) + " pixels, too few to compare. Remedy: " +
+                             (scale > 1 ? "a smaller --stereo-scale" : "larger photographs"));
+        if (small != used.end()) break;
         out.push_back({scale << level, {}, {}});
         out.back().sources = sources_of(inputs, pictures, used, present, fields, out.back().scale, Vec3d(middle[0], middle[1], middle[2]), o);
     }
     return out;
+}
+
+size_t steps_of(const std::vector<StereoLevel>& levels) {
+    size_t out = 0;
+    for (const StereoLevel& level : levels)
+        out += static_cast<size_t>(std::count_if(level.sources.begin(), level.sources.end(), [](const StereoSource& s) { return !s.pairs.empty(); }));
+    return out;
+}
+
+void leave_to_finer(std::vector<StereoLevel>& levels) {
+    // The coarsest first: what finer ones know is still whole then.
+    for (size_t l = levels.size(); l-- > 1;)
+        tbb::parallel_for(size_t{0}, levels[l].maps.size(), [&](size_t v) {
+            std::vector<float>& coarse = levels[l].maps[v].confidence;
+            const StereoSource& to = levels[l].sources[v];
+            for (size_t f = 0; f < l && !coarse.empty(); ++f) {
+                const std::vector<float>& fine = levels[f].maps[v].confidence;
+                const StereoSource& from = levels[f].sources[v];
+                if (fine.empty()) continue;
+                for (int y = 0; y < from.height; ++y)
+                    for (int x = 0; x < from.width; ++x) {
+                        const int cx = x >> (l - f), cy = y >> (l - f);
+                        if (cx < to.width && cy < to.height && fine[static_cast<size_t>(y) * static_cast<size_t>(from.width) + static_cast<size_t>(x)] > 0.f)
+                            coarse[static_cast<size_t>(cy) * static_cast<size_t>(to.width) + static_cast<size_t>(cx)] = 0.f;
+                    }
+            }
+        });
 }
 
 kernel::StereoReference stereo_reference(const std::vector<StereoSource>& sources, size_t view, double voxel_size) {

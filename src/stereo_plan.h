@@ -36,8 +36,14 @@ struct StereoLevel {
     std::vector<StereoDepthMap> maps;  ///< empty where the device keeps them
 };
 
-/// All levels, without maps. Photographs are asked for all at once.
+/// All levels, without maps; fewer than asked for where pictures would get too small to compare windows in. Photographs are asked for all at once. Throws InputError where the finest is.
 std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& options);
+
+/// Views that are matched, over all levels.
+size_t steps_of(const std::vector<StereoLevel>& levels);
+
+/// A view's coarser depth stands only where none of its finer levels has one: a photograph is heard once. Maps are all in place.
+void leave_to_finer(std::vector<StereoLevel>& levels);
 
 /// Before photographs and the hull's answers are in place: those pointers are null.
 kernel::StereoReference stereo_reference(const std::vector<StereoSource>& sources, size_t view, double voxel_size);

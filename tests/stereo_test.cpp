@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
 
+#include <cmath>
+#include <limits>
 #include <random>
 
 #include "pieces.h"
@@ -162,7 +164,11 @@ TEST(Stereo, SameBitsForAnyNumberOfThreads) {
     const StereoResult b = stereo(*scene.hull, scene.inputs, {}, o, quiet);
     expect_same(*a.surface, *b.surface);
     expect_same(*a.confidence, *b.confidence);
-    for (size_t v = 0; v < a.maps.size(); ++v) EXPECT_EQ(a.maps[v].depth.data, b.maps[v].depth.data);
+    EXPECT_LT(a.volume, 0.97 * a.volume_before);
+    for (size_t v = 0; v < a.maps.size(); ++v) {
+        EXPECT_EQ(a.maps[v].depth.data, b.maps[v].depth.data);
+        EXPECT_EQ(a.maps[v].confidence.data, b.maps[v].confidence.data);
+    }
 }
 
 TEST(Stereo, SaysWhatItDoesNotTake) {
@@ -179,15 +185,115 @@ TEST(Stereo, SaysWhatItDoesNotTake) {
     refused([](StereoOptions& o) { o.levels = 0; });
     refused([](StereoOptions& o) { o.depth_share = 0; });
     refused([](StereoOptions& o) { o.least_angle_deg = 50; });
+    refused([](StereoOptions& o) { o.truncation_vox = std::numeric_limits<double>::quiet_NaN(); });
+    refused([](StereoOptions& o) { o.trust.agreeing = 7; });
+    refused([](StereoOptions& o) { o.least_weight = 0; });
+    StereoOptions too_small;
+    too_small.scale = 4;  // 20 x 15 pixels
+    try {
+        stereo(*scene.hull, scene.inputs, {}, too_small, quiet);
+        ADD_FAILURE();
+    } catch (const InputError& e) {
+        EXPECT_NE(std::string(e.what()).find("20 x 15"), std::string::npos) << e.what();
+        EXPECT_NE(std::string(e.what()).find("--stereo-scale"), std::string::npos) << e.what();
+    }
     std::vector<ColorInput> inputs = scene.inputs;
     const Image8 small(10, 10, 3);
     inputs[2].photo.pixels8 = small.view();
     EXPECT_THROW(stereo(*scene.hull, inputs, {}, {}, quiet), InputError);
     // Views too far from each other give no depth, and take none away.
     inputs = scene.inputs;
-    for (size_t v = 0; v < inputs.size(); ++v) inputs[v].use = v == 0 || v == 2;
-    const StereoResult r = stereo(*scene.hull, inputs, {}, {}, quiet);
+    StereoOptions near;
+    near.least_angle_deg = 1;
+    near.most_angle_deg = 2;
+    const StereoResult r = stereo(*scene.hull, inputs, {}, near, quiet);
     expect_same(*r.surface, *scene.hull);
+    for (const StereoViewStatistics& v : r.views) EXPECT_EQ(v.pairs, 0u);
+}
+
+// Coarser depths go where any finer one is, be it of the next level or of one beyond: else one photograph would be two voices.
+TEST(Stereo, APhotographIsHeardOnce) {
+    std::mt19937 random(11);
+    std::vector<StereoLevel> levels;
+    const int width = 53, height = 38;  // odd at every size
+    for (int l = 0; l < 4; ++l) {
+        levels.push_back({1 << l, {}, {}});
+        for (int v = 0; v < 3; ++v) {
+            StereoSource s;
+            s.width = width >> l;
+            s.height = height >> l;
+            StereoDepthMap m;
+            if (v < 2) m.confidence.resize(static_cast<size_t>(s.width) * static_cast<size_t>(s.height));
+            for (float& c : m.confidence) c = random() % 7 == 0 ? 0.5f : 0.f;
+            levels.back().sources.push_back(s);
+            levels.back().maps.push_back(m);
+        }
+    }
+    const std::vector<StereoLevel> before = levels;
+    leave_to_finer(levels);
+    const auto at = [](const StereoLevel& level, size_t v, int x, int y) { return level.maps[v].confidence[static_cast<size_t>(y) * static_cast<size_t>(level.sources[v].width) + static_cast<size_t>(x)]; };
+    for (size_t l = 0; l < levels.size(); ++l)
+        for (size_t v = 0; v < 2; ++v)
+            for (int y = 0; y < levels[l].sources[v].height; ++y)
+                for (int x = 0; x < levels[l].sources[v].width; ++x) {
+                    bool finer = false;
+                    for (size_t f = 0; f < l; ++f)
+                        for (int j = y << (l - f); j < (y + 1) << (l - f); ++j)
+                            for (int i = x << (l - f); i < (x + 1) << (l - f); ++i) finer = finer || at(before[f], v, i, j) > 0;
+                    ASSERT_EQ(at(levels[l], v, x, y), finer ? 0.f : at(before[l], v, x, y)) << "level " << l << " view " << v << " pixel " << x << ", " << y;
+                }
+    EXPECT_TRUE(levels[2].maps[2].confidence.empty());
+}
+
+// A depth of another view agrees where it is the same place, whatever kinds the cameras are and however unlike their distances.
+TEST(Stereo, ViewsAgreeAboutTheSamePlace) {
+    std::mt19937 random(3);
+    std::uniform_real_distribution<double> u(-1, 1);
+    size_t tried = 0;
+    for (int n = 0; n < 200; ++n) {
+        Camera a = random_cameras(random, n % 2)[0], b = random_cameras(random, n % 4 > 1)[0];
+        const double away = n % 3 ? 1.0 : 2.5;  // so many times as far
+        b.camera_from_world.translation.z() *= away;
+        if (!b.intrinsics.orthographic) b.intrinsics.fx *= away, b.intrinsics.fy *= away;
+        const Vec2d pixel(160.5, 120.5);
+        const Camera::Ray ray = a.ray(pixel);
+        const Vec3d place = ray.origin + (-(a.camera_from_world.rotation.row(2).dot(ray.origin) + a.camera_from_world.translation.z()) + 5) / a.camera_from_world.rotation.row(2).dot(ray.direction) * ray.direction;
+        const Vec3d normal = (-ray.direction + 0.2 * Vec3d(u(random), u(random), u(random))).normalized();
+        const auto seen = b.project(place);
+        if (!seen || seen->x() < 1 || seen->y() < 1 || seen->x() > 318 || seen->y() > 238) continue;
+        const auto plane_in = [&](const Camera& c, const Vec3d& at, const Vec2d& px) {
+            const Vec3d m = c.camera_from_world.rotation * normal;
+            const double z = (c.camera_from_world * at).z();
+            return kernel::plane_of_normal(lens_of(c), {static_cast<float>(m.x()), static_cast<float>(m.y()), static_cast<float>(m.z())}, static_cast<float>(c.intrinsics.orthographic ? z : 1 / z), static_cast<float>(px.x()), static_cast<float>(px.y()));
+        };
+        const auto agree = [&](double shift) {  // the other finds the surface so much deeper along its line of sight
+            const Vec2d middle(std::floor(seen->x()) + 0.5, std::floor(seen->y()) + 0.5);
+            const Vec3d on = place + shift * b.ray(*seen).direction;
+            const Camera::Ray other_ray = b.ray(middle);
+            const Vec3d at = other_ray.origin + normal.dot(on - other_ray.origin) / normal.dot(other_ray.direction) * other_ray.direction;
+            const kernel::StereoBest best{plane_in(b, at, middle), 0.1f};
+            std::vector<kernel::StereoBest> planes(320 * 240, best);
+            std::vector<float> likely(320 * 240, 1.f);
+            const kernel::StereoDepths depths{planes.data(), likely.data(), lens_of(b), 320, 240};
+            kernel::StereoReference reference{};
+            reference.lens = lens_of(a);
+            const Vec3d m = a.camera_from_world.rotation * normal;
+            const kernel::StereoTrustRule rule{0.5f, 0.f, 0.f, 1, 1.f, 0.7f};
+            return kernel::agrees(reference, stereo_pair(a, b, 1), depths, plane_in(a, place, pixel), {static_cast<float>(m.x()), static_cast<float>(m.y()), static_cast<float>(m.z())}, rule, static_cast<float>(pixel.x()), static_cast<float>(pixel.y()));
+        };
+        // How far along the reference's line of sight the other picture shows as one pixel, by its projection.
+        const double step = 1e-3;
+        const auto nearer = b.project(place + step * ray.direction);
+        if (!nearer) continue;
+        const double px_per_length = (*nearer - *seen).norm() / step;
+        if (px_per_length < 4) continue;  // hardly any parallax: all depths agree
+        ++tried;
+        EXPECT_TRUE(agree(0));
+        EXPECT_TRUE(agree(0.6 / px_per_length)) << n;
+        EXPECT_FALSE(agree(1.6 / px_per_length)) << n;
+        EXPECT_FALSE(agree(-1.6 / px_per_length)) << n;
+    }
+    EXPECT_GT(tried, 60u);
 }
 
 // Loose pieces and enclosed holes that carving made go; those of before stay.

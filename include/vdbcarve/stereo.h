@@ -30,7 +30,7 @@ struct StereoTrust {
 struct StereoOptions {
     int pairs = 6;                    ///< other views a view is compared with, 2..8
     double least_angle_deg = 8, most_angle_deg = 40;  ///< between their lines of sight to the object
-    int scale = 0;                    ///< pixels of a photograph a side of one that is worked with: 1, 2, 4; 0: 1 on a GPU, 2 on a CPU
+    int scale = 0;                    ///< pixels of a photograph a side of one that is worked with, 1..16; 0: 1 on a GPU, 2 on a CPU
     int levels = 3;                   ///< sizes of photographs that are worked with, each half of the one before: the coarser ones see less texture as more
     int passes = 6;                   ///< of PatchMatch, for each
     double depth_share = 0.35;        ///< the search ends so far behind the hull's front, of the object's longest side
@@ -71,7 +71,7 @@ struct StereoResult {
 };
 
 /// Carves a hull's level set by the photographs' depths. Photographs are asked for all at once; the gains between them do not matter (ZNCC). Same bits for any number of
-/// threads. Time: pixels of the object x views x about 100 planes x pairs x 25 samples. Memory: 50 bytes a working pixel and view. Throws InputError naming the view whose photograph does not fit its camera,
+/// threads. Time: pixels of the object x views x about 100 planes x pairs x 25 samples. Memory: the photographs, and 40 bytes a working pixel and view (beside a GPU 14), a third more for the coarser ones. Throws InputError naming the view whose photograph does not fit its camera or is too small,
 /// UsageError for bad options.
 StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress);
 

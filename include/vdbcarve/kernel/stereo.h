@@ -424,7 +424,9 @@ VDBCARVE_HD bool agrees(const StereoReference& r, const StereoPair& pair, const 
     // How far the place would move in the other picture if the reference's depth were wrong by the difference.
     const float inverse = 1.f / at[2];
     const float dx = (pair.along[0] - x * pair.along[2]) * inverse, dy = (pair.along[1] - y * pair.along[2]) * inverse;
-    const float ds = r.lens.orthographic ? found - there : plane.s * (found - there) / found;
+    const float deeper = found - there, shortened = 1.f + plane.s * deeper;
+    if (!r.lens.orthographic && !(shortened > 0.f)) return false;  // before the reference's camera
+    const float ds = r.lens.orthographic ? deeper : plane.s * plane.s * deeper / shortened;
     if (!((dx * dx + dy * dy) * (ds * ds) <= rule.agreement_px * rule.agreement_px)) return false;
     const Vec3 o = plane_normal(other.lens, other.planes[n].plane, ou, ov);
     const float* t = pair.turn;
