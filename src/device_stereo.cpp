@@ -22,7 +22,7 @@ FusedBlocks fuse_on_device(const FusionPlan& plan, cuda::StereoStage& stage, Fet
     std::vector<cuda::StereoStage::FusedView> views;
     for (const FusionPlan::View& v : plan.views) views.push_back({v.level, v.view, v.fusion});
     FusedBlocks out;
-    constexpr size_t kAtOnce = size_t{1} << 18;  ///< blocks: 1 GB of answers
+    constexpr size_t kAtOnce = size_t{1} << 14;  ///< blocks: 64 MB of answers, and threads enough to fill a device many times
     for (size_t begin = 0; begin < plan.blocks.size(); begin += kAtOnce) {
         std::vector<std::array<int, 3>> first;
         for (size_t b = begin; b < std::min(begin + kAtOnce, plan.blocks.size()); ++b) first.push_back({plan.blocks[b][0], plan.blocks[b][1], plan.blocks[b][2]});
