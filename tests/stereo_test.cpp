@@ -209,6 +209,9 @@ TEST(Stereo, SaysWhatItDoesNotTake) {
     const StereoResult r = stereo(*scene.hull, inputs, {}, near, quiet);
     expect_same(*r.surface, *scene.hull);
     for (const StereoViewStatistics& v : r.views) EXPECT_EQ(v.pairs, 0u);
+    // Nor do two alone.
+    for (size_t v = 0; v < inputs.size(); ++v) inputs[v].use = v == 0 || v == 2;
+    expect_same(*stereo(*scene.hull, inputs, {}, {}, quiet).surface, *scene.hull);
 }
 
 // Coarser depths go where any finer one is, be it of the next level or of one beyond: else one photograph would be two voices.
