@@ -98,7 +98,8 @@ __global__ void __launch_bounds__(32 * kWarps) ask_nodes(const Common c, int siz
     int* seeing = out + 8;
     auto* list = reinterpret_cast<uint16_t*>(seeing + 8);
     const NodeList from = c.nodes[level % 2], to = c.nodes[(level + 1) % 2];
-    const uint32_t parents = kChildren == 1 ? static_cast<uint32_t>(c.topology.blocks) : min(static_cast<uint32_t>(c.counters[kFirstLevel + level - 1]), c.node_capacity);
+    const uint32_t parents =
+        kChildren == 1 ? static_cast<uint32_t>(c.topology.blocks) : min(static_cast<uint32_t>(c.counters[kFirstLevel + level - 1]), c.node_capacity);
     const double half = 0.5 * (size - 1), h = c.voxel_size, radius = sqrt(3.0) * half * h;
     unsigned long long tests = 0;
 
@@ -153,7 +154,8 @@ __global__ void __launch_bounds__(32 * kWarps) ask_nodes(const Common c, int siz
             const int v = seen ? list[p / kChildren] : p / kChildren;
             const bool asked = seen || kChildren == 1 || (parent_views[v / 32] >> (v % 32) & 1);
             const CarveView& view = c.views[v];
-            const NodeAnswers answers = node_answers(view, node_ball(view, corner(child, 0) + half, corner(child, 1) + half, corner(child, 2) + half, radius), c.near_depth, c.band);
+            const NodeAnswers answers =
+                node_answers(view, node_ball(view, corner(child, 0) + half, corner(child, 1) + half, corner(child, 2) + half, radius), c.near_depth, c.band);
             if (asked && answers.hull == NodeAnswer::Out) atomicAdd(out + child, 1);
             if (asked && answers.hull == NodeAnswer::Mixed) {
                 atomicOr(cut + child * words + v / 32, 1u << (v % 32));
@@ -182,7 +184,8 @@ __global__ void __launch_bounds__(32 * kWarps) ask_nodes(const Common c, int siz
         }
         for (unsigned rest = __ballot_sync(kAll, full); rest; rest &= rest - 1) {
             const int child = __ffs(rest) - 1, side = size / 8;
-            mark_inside(reinterpret_cast<unsigned long long*>(c.topology.inside) + static_cast<size_t>(block) * kBlockWords, place(child, 0) * side, place(child, 1) * side, place(child, 2) * side, side, lane);
+            mark_inside(reinterpret_cast<unsigned long long*>(c.topology.inside) + static_cast<size_t>(block) * kBlockWords, place(child, 0) * side,
+                        place(child, 1) * side, place(child, 2) * side, side, lane);
         }
         const unsigned survivors = __ballot_sync(kAll, live);
         if (!survivors) continue;
@@ -201,7 +204,8 @@ __global__ void __launch_bounds__(32 * kWarps) ask_nodes(const Common c, int siz
         number = __shfl_sync(kAll, number, 0) + __popc(survivors & ((1u << lane) - 1));
         entry = __shfl_sync(kAll, entry, 0) + static_cast<uint32_t>(before - wanted);
         const uint32_t state = (child_seen ? kSeen : 0) | (in_box ? kInBox : 0) | static_cast<uint32_t>(misses) << kMissesShift;
-        const uint32_t key = static_cast<uint32_t>(block) * kBlockLeaves + static_cast<uint32_t>(place(lane & 7, 0) << 8 | place(lane & 7, 1) << 4 | place(lane & 7, 2));
+        const uint32_t key =
+            static_cast<uint32_t>(block) * kBlockLeaves + static_cast<uint32_t>(place(lane & 7, 0) << 8 | place(lane & 7, 1) << 4 | place(lane & 7, 2));
         // What finds no room is counted all the same: the host makes room and walks again.
         if (size > 8) {
             if (live && number < c.node_capacity) {
@@ -254,7 +258,8 @@ __global__ void prepare_entries(const Common c, uint32_t count) {
     if ((packed & Entry::kClear) && !c.occupancy) {
         mixed = 0;
         for (int cell = 0; cell < 8; ++cell) {
-            const Vec3 centre = voxel_in_camera(leaf, static_cast<float>(cell >> 2) * 4.f + 1.5f, static_cast<float>(cell >> 1 & 1) * 4.f + 1.5f, static_cast<float>(cell & 1) * 4.f + 1.5f);
+            const Vec3 centre = voxel_in_camera(leaf, static_cast<float>(cell >> 2) * 4.f + 1.5f, static_cast<float>(cell >> 1 & 1) * 4.f + 1.5f,
+                                                static_cast<float>(cell & 1) * 4.f + 1.5f);
             const NodeAnswer answer = cell_answer(view.silhouette, cell_probe(view, centre, c.cell_radius, static_cast<float>(c.band)));
             if (answer == NodeAnswer::Out) out |= 1u << cell;
             if (answer == NodeAnswer::Mixed) mixed |= 1u << cell;
@@ -438,7 +443,8 @@ __global__ void __launch_bounds__(kLeafVoxels) evaluate_binary(const Common c, u
     }
     const bool all = !(info & kSeen);
     if (all)
-        for (int v = 0; v < c.view_count; ++v) seen += seen_at(c.views[v], voxel_in_camera(leaf_to_camera(c.views[v], origin.x, origin.y, origin.z), fi, fj, fk), c.near_depth);
+        for (int v = 0; v < c.view_count; ++v)
+            seen += seen_at(c.views[v], voxel_in_camera(leaf_to_camera(c.views[v], origin.x, origin.y, origin.z), fi, fj, fk), c.near_depth);
     const int ijk[3] = {origin.x + (t >> 6), origin.y + (t >> 3 & 7), origin.z + (t & 7)};
     bool on = misses <= c.max_misses && (!all || seen >= c.need_seen);
     for (int a = 0; a < 3; ++a) on = on && ijk[a] >= c.min[a] && ijk[a] < c.max[a];
@@ -488,7 +494,8 @@ void CarveStage::run(const CarveJob& job, const Stream& stream, StageTimes& time
     for (size_t v = 0; v < n; ++v) {
         const CarveView& view = host_views[v] = job.views[v];
         const LeafToCamera steps = leaf_to_camera(view, 0, 0, 0);
-        host_constants[v] = {steps.di, steps.dj, steps.dk, view, view.silhouette.x0, view.silhouette.y0, view.silhouette.width, view.silhouette.height, view.silhouette.samples};
+        host_constants[v] = {
+            steps.di, steps.dj, steps.dk, view, view.silhouette.x0, view.silhouette.y0, view.silhouette.width, view.silhouette.height, view.silhouette.samples};
         perspective = perspective && !view.orthographic;
     }
     c.views = views_.ensure(n);
@@ -512,7 +519,8 @@ void CarveStage::run(const CarveJob& job, const Stream& stream, StageTimes& time
     VDBCARVE_CUDA(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device));
     const unsigned grid = static_cast<unsigned>(multiprocessors) * 4;
     for (;;) {
-        for (size_t side = 0; side < 2; ++side) c.nodes[side] = {node_key_[side].ensure(want_nodes), node_state_[side].ensure(want_nodes), node_views_[side].ensure(want_nodes * words)};
+        for (size_t side = 0; side < 2; ++side)
+            c.nodes[side] = {node_key_[side].ensure(want_nodes), node_state_[side].ensure(want_nodes), node_views_[side].ensure(want_nodes * words)};
         c.slots = {slot_key_.ensure(want_slots), slot_state_.ensure(want_slots), slot_entry_.ensure(want_slots)};
         c.entries = reinterpret_cast<Entry*>(entries_.ensure(want_entries));
         c.entry_slot = entry_slot_.ensure(want_entries);
@@ -538,7 +546,9 @@ void CarveStage::run(const CarveJob& job, const Stream& stream, StageTimes& time
         if (nodes <= node_capacity_ && slots <= slot_capacity_ && entries <= entry_capacity_) break;
         constexpr unsigned long long kMost = 0xfffffff0u;
         if (nodes > kMost || slots > kMost / 4 || entries > kMost) throw BackendError("CUDA: more than 2^32 leaves or views of leaves. Remedy: --backend cpu");
-        const auto roomy = [=](unsigned long long found, uint32_t had) { return static_cast<uint32_t>(std::max<unsigned long long>(had, std::min(found + found / 8, kMost))); };
+        const auto roomy = [=](unsigned long long found, uint32_t had) {
+            return static_cast<uint32_t>(std::max<unsigned long long>(had, std::min(found + found / 8, kMost)));
+        };
         want_nodes = roomy(nodes, node_capacity_);
         want_slots = roomy(slots, slot_capacity_);
         want_entries = roomy(entries, entry_capacity_);
@@ -590,7 +600,8 @@ CarveCounts CarveStage::counts(const Stream& stream) {
 size_t CarveStage::bytes() const {
     size_t nodes = 0;
     for (size_t side = 0; side < 2; ++side) nodes += node_key_[side].bytes() + node_state_[side].bytes() + node_views_[side].bytes();
-    return topology_.bytes() + views_.bytes() + nodes + slot_key_.bytes() + slot_state_.bytes() + slot_entry_.bytes() + entries_.bytes() + entry_slot_.bytes() + values_.bytes() + active_.bytes();
+    return topology_.bytes() + views_.bytes() + nodes + slot_key_.bytes() + slot_state_.bytes() + slot_entry_.bytes() + entries_.bytes() + entry_slot_.bytes() +
+           values_.bytes() + active_.bytes();
 }
 
 }  // namespace vdbcarve::cuda

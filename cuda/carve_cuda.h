@@ -19,11 +19,11 @@ inline constexpr int kMaxViews = 2048;
 struct CarveJob {
     std::vector<kernel::CarveView> views;
     double origin_world[3], voxel_size;
-    double band;         ///< world units, 0 for occupancy
-    float near_depth;    ///< world units
-    float cell_radius;   ///< world units
+    double band;        ///< world units, 0 for occupancy
+    float near_depth;   ///< world units
+    float cell_radius;  ///< world units
     int max_misses, need_seen;
-    double lo[3], hi[3];  ///< bounds, world
+    double lo[3], hi[3];          ///< bounds, world
     std::array<int, 3> min, max;  ///< voxels that may be looked at
     bool occupancy;
 };

@@ -58,31 +58,36 @@ __global__ void __launch_bounds__(kLeafVoxels) list_contour(const uint32_t* word
     contour[at] = n * kLeafVoxels + t;
 }
 
-__global__ void make_points(const Nano* grid, const Grid::Leaf* leaves, const uint32_t* contour, uint32_t count, float voxel, NormalRule rule, ColorBase base, SurfacePoint* points) {
+__global__ void make_points(const Nano* grid, const Grid::Leaf* leaves, const uint32_t* contour, uint32_t count, float voxel, NormalRule rule, ColorBase base,
+                            SurfacePoint* points) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
     const Grid::Leaf& leaf = leaves[contour[n] / kLeafVoxels];
     const int t = static_cast<int>(contour[n] % kLeafVoxels);
     const LeafReader value(grid, leaf);
-    points[n] = surface_point(value, leaf.data()->mValues[t], voxel, value.origin[0] + (t >> 6), value.origin[1] + (t >> 3 & 7), value.origin[2] + (t & 7), rule, base);
+    points[n] =
+        surface_point(value, leaf.data()->mValues[t], voxel, value.origin[0] + (t >> 6), value.origin[1] + (t >> 3 & 7), value.origin[2] + (t & 7), rule, base);
 }
 
-__global__ void __launch_bounds__(128) observe_places(SightGrid sight, const SurfacePoint* points, const uint32_t* places, uint32_t count, const ColorView* views, uint32_t view_count, ColorRule rule, Observation* out) {
+__global__ void __launch_bounds__(128) observe_places(SightGrid sight, const SurfacePoint* points, const uint32_t* places, uint32_t count,
+                                                      const ColorView* views, uint32_t view_count, ColorRule rule, Observation* out) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count * view_count) return;
     SightCells cells(sight);
     out[n] = observe(cells, views[n % view_count], points[places[n / view_count]], rule);
 }
 
-__global__ void __launch_bounds__(128) find(SightGrid sight, const SurfacePoint* points, uint32_t count, const ColorView* views, int first, int last, ColorRule rule, Candidate* candidates, uint8_t* counts) {
+__global__ void __launch_bounds__(128) find(SightGrid sight, const SurfacePoint* points, uint32_t count, const ColorView* views, int first, int last,
+                                            ColorRule rule, Candidate* candidates, uint8_t* counts) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
     SightCells cells(sight);
-    counts[n] = static_cast<uint8_t>(kernel::find_views(cells, views, first, last, rule, points[n], candidates + static_cast<size_t>(n) * kept_candidates(rule), counts[n]));
+    counts[n] = static_cast<uint8_t>(
+        kernel::find_views(cells, views, first, last, rule, points[n], candidates + static_cast<size_t>(n) * kept_candidates(rule), counts[n]));
 }
 
-__global__ void decide_points(const SurfacePoint* points, uint32_t count, const ColorView* views, ColorRule rule, const Candidate* candidates, const uint8_t* counts, Rgb* colors, uint8_t* blended, float* confidence,
-                              uint32_t* voxels_of_view, uint32_t* colored) {
+__global__ void decide_points(const SurfacePoint* points, uint32_t count, const ColorView* views, ColorRule rule, const Candidate* candidates,
+                              const uint8_t* counts, Rgb* colors, uint8_t* blended, float* confidence, uint32_t* voxels_of_view, uint32_t* colored) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
     const Candidate* found = candidates + static_cast<size_t>(n) * kept_candidates(rule);
@@ -136,7 +141,8 @@ __global__ void list_parents(const uint64_t* keys, uint32_t count, int32_t* pare
     if (n + 1 == count) first[p + 1] = static_cast<int32_t>(count);
 }
 
-__global__ void color_parents(const Rgb* colors, const uint8_t* known, const int32_t* first, uint32_t count, Rgb* parent_colors, uint8_t* parent_known, uint32_t* unknown) {
+__global__ void color_parents(const Rgb* colors, const uint8_t* known, const int32_t* first, uint32_t count, Rgb* parent_colors, uint8_t* parent_known,
+                              uint32_t* unknown) {
     const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= count) return;
     Rgb c{0.f, 0.f, 0.f};
@@ -152,7 +158,8 @@ __global__ void mark_unknown(const uint8_t* known, uint32_t count, uint8_t* flag
 }
 
 /// Unknown cells start from their parent's colour; where their neighbours are.
-__global__ void begin_level(const uint64_t* keys, uint32_t count, const uint32_t* cells, uint32_t cell_count, const int32_t* parents, const Rgb* parent_colors, Rgb* colors, int32_t* neighbours) {
+__global__ void begin_level(const uint64_t* keys, uint32_t count, const uint32_t* cells, uint32_t cell_count, const int32_t* parents, const Rgb* parent_colors,
+                            Rgb* colors, int32_t* neighbours) {
     const size_t at = static_cast<size_t>(blockIdx.x) * blockDim.x + threadIdx.x;
     if (at >= static_cast<size_t>(cell_count) * kFillNeighbours) return;
     const auto c = static_cast<uint32_t>(at % cell_count), n = static_cast<uint32_t>(at / cell_count);
@@ -182,7 +189,8 @@ __global__ void place_contour(const uint32_t* contour, uint32_t count, const Rgb
 }
 
 /// One layer. Others may be given theirs, this pass's, at the same time: that is not the one asked for.
-__global__ void __launch_bounds__(kLeafVoxels) spread_layer(const Grid::Leaf* leaves, const int32_t* neighbours, float deepest, float least_weight, int pass, Rgb* colors, uint8_t* layers, uint8_t* waiting) {
+__global__ void __launch_bounds__(kLeafVoxels) spread_layer(const Grid::Leaf* leaves, const int32_t* neighbours, float deepest, float least_weight, int pass,
+                                                            Rgb* colors, uint8_t* layers, uint8_t* waiting) {
     const uint32_t n = blockIdx.x;
     if (pass > 1 && !waiting[n]) return;
     const int t = threadIdx.x;
@@ -253,7 +261,8 @@ struct ColorStage::Parts {
 ColorStage::ColorStage() : parts_(std::make_unique<Parts>()) {}
 ColorStage::~ColorStage() = default;
 
-uint32_t ColorStage::find_contour(const Grid& surface, const ColorBase& base, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream, StageTimes& times) {
+uint32_t ColorStage::find_contour(const Grid& surface, const ColorBase& base, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream,
+                                  StageTimes& times) {
     Parts& p = *parts_;
     const uint32_t n = surface.leaf_count();
     const cudaStream_t s = stream.get();
@@ -280,7 +289,8 @@ uint32_t ColorStage::find_contour(const Grid& surface, const ColorBase& base, in
         uint64_t* walls = p.walls.ensure(static_cast<size_t>(n) * kWallWords);
         build_walls(surface, threshold, walls, stream);
         p.sight = {surface.grid(), walls, threshold, base};
-        make_points<<<blocks_for(p.contour_count, kThreads), kThreads, 0, s>>>(surface.grid(), surface.leaves(), p.contour.data(), p.contour_count, static_cast<float>(surface.spec().voxel_size),
+        make_points<<<blocks_for(p.contour_count, kThreads), kThreads, 0, s>>>(surface.grid(), surface.leaves(), p.contour.data(), p.contour_count,
+                                                                               static_cast<float>(surface.spec().voxel_size),
                                                                                {normal_radius_vox, p.weights.data()}, base, p.points.ensure(p.contour_count));
         VDBCARVE_LAUNCHED();
     });
@@ -297,16 +307,16 @@ const float* ColorStage::linear(bool wide, const std::vector<float>& table, cons
     return buffer.data();
 }
 
-void ColorStage::observe(const std::vector<ColorView>& views, const ColorRule& rule, const std::vector<uint32_t>& places, std::vector<Observation>& out, const Stream& stream,
-                         StageTimes& times) {
+void ColorStage::observe(const std::vector<ColorView>& views, const ColorRule& rule, const std::vector<uint32_t>& places, std::vector<Observation>& out,
+                         const Stream& stream, StageTimes& times) {
     Parts& p = *parts_;
     const size_t count = places.size() * views.size();
     stream.to_device(p.views.ensure(views.size()), views.data(), views.size());
     stream.to_device(p.places.ensure(places.size()), places.data(), places.size());
     p.observations.ensure(count);
     times.measure("color: exposure", stream, [&] {
-        observe_places<<<blocks_for(count, 128), 128, 0, stream.get()>>>(p.sight, p.points.data(), p.places.data(), static_cast<uint32_t>(places.size()), p.views.data(), static_cast<uint32_t>(views.size()), rule,
-                                                                         p.observations.data());
+        observe_places<<<blocks_for(count, 128), 128, 0, stream.get()>>>(p.sight, p.points.data(), p.places.data(), static_cast<uint32_t>(places.size()),
+                                                                         p.views.data(), static_cast<uint32_t>(views.size()), rule, p.observations.data());
         VDBCARVE_LAUNCHED();
     });
     out.resize(count);
@@ -322,8 +332,8 @@ void ColorStage::find_views(const std::vector<ColorView>& views, int first, cons
     p.counts.ensure(p.contour_count);
     times.measure("color: views", stream, [&] {
         if (p.views_found++ == 0) stream.zero(p.counts.data(), p.contour_count);
-        find<<<blocks_for(p.contour_count, 128), 128, 0, stream.get()>>>(p.sight, p.points.data(), p.contour_count, p.views.data(), first, first + static_cast<int>(views.size()), rule, p.candidates.data(),
-                                                                         p.counts.data());
+        find<<<blocks_for(p.contour_count, 128), 128, 0, stream.get()>>>(p.sight, p.points.data(), p.contour_count, p.views.data(), first,
+                                                                         first + static_cast<int>(views.size()), rule, p.candidates.data(), p.counts.data());
         VDBCARVE_LAUNCHED();
     });
 }
@@ -339,8 +349,9 @@ uint32_t ColorStage::decide(const std::vector<ColorView>& views, const ColorRule
     times.measure("color: views", stream, [&] {
         stream.zero(p.voxels_of_view.data(), views.size());
         stream.zero(p.colored.data(), 1);
-        decide_points<<<blocks_for(p.contour_count, kThreads), kThreads, 0, stream.get()>>>(p.points.data(), p.contour_count, p.all_views.data(), rule, p.candidates.data(), p.counts.data(), p.colors.data(),
-                                                                                            p.blended.data(), p.confidence.data(), p.voxels_of_view.data(), p.colored.data());
+        decide_points<<<blocks_for(p.contour_count, kThreads), kThreads, 0, stream.get()>>>(
+            p.points.data(), p.contour_count, p.all_views.data(), rule, p.candidates.data(), p.counts.data(), p.colors.data(), p.blended.data(),
+            p.confidence.data(), p.voxels_of_view.data(), p.colored.data());
         VDBCARVE_LAUNCHED();
         stream.to_host(p.host.data(), p.colored.data(), 1);
     });
@@ -364,7 +375,8 @@ void ColorStage::fill(const Grid& surface, const Stream& stream, StageTimes& tim
         base.count = n;
         base.unknown = n - colored;
         base.keys.ensure(n);
-        VDBCARVE_CUDA(cub::DeviceRadixSort::SortPairs(nullptr, scratch, p.unsorted.data(), base.keys.data(), p.numbers.data(), p.order.data(), static_cast<int>(n), 0, 3 * kMortonBits, s));
+        VDBCARVE_CUDA(cub::DeviceRadixSort::SortPairs(nullptr, scratch, p.unsorted.data(), base.keys.data(), p.numbers.data(), p.order.data(),
+                                                      static_cast<int>(n), 0, 3 * kMortonBits, s));
         p.flags.ensure(n);
         p.cells.ensure(base.unknown);
         p.cell_neighbours.ensure(static_cast<size_t>(base.unknown) * kFillNeighbours);  // coarser levels have fewer
@@ -376,8 +388,10 @@ void ColorStage::fill(const Grid& surface, const Stream& stream, StageTimes& tim
         p.scratch_for(scratch);
         make_keys<<<blocks_for(n, kThreads), kThreads, 0, s>>>(surface.leaves(), p.contour.data(), n, p.sight.base, p.unsorted.data(), p.numbers.data());
         VDBCARVE_LAUNCHED();
-        VDBCARVE_CUDA(cub::DeviceRadixSort::SortPairs(p.scratch.data(), scratch, p.unsorted.data(), base.keys.data(), p.numbers.data(), p.order.data(), static_cast<int>(n), 0, 3 * kMortonBits, s));
-        gather_cells<<<blocks_for(n, kThreads), kThreads, 0, s>>>(p.order.data(), n, p.colors.data(), p.blended.data(), base.colors.ensure(n), base.known.ensure(n));
+        VDBCARVE_CUDA(cub::DeviceRadixSort::SortPairs(p.scratch.data(), scratch, p.unsorted.data(), base.keys.data(), p.numbers.data(), p.order.data(),
+                                                      static_cast<int>(n), 0, 3 * kMortonBits, s));
+        gather_cells<<<blocks_for(n, kThreads), kThreads, 0, s>>>(p.order.data(), n, p.colors.data(), p.blended.data(), base.colors.ensure(n),
+                                                                  base.known.ensure(n));
         VDBCARVE_LAUNCHED();
         size_t top = 0;
         for (; p.levels[top].unknown; ++top) {
@@ -386,14 +400,16 @@ void ColorStage::fill(const Grid& surface, const Stream& stream, StageTimes& tim
             mark_heads<<<blocks, kThreads, 0, s>>>(fine.keys.data(), fine.count, fine.parent.ensure(fine.count));
             VDBCARVE_LAUNCHED();
             VDBCARVE_CUDA(cub::DeviceScan::InclusiveSum(p.scratch.data(), scratch, fine.parent.data(), fine.parent.data(), static_cast<int>(fine.count), s));
-            list_parents<<<blocks, kThreads, 0, s>>>(fine.keys.data(), fine.count, fine.parent.data(), coarse.keys.ensure(fine.count), coarse.first.ensure(static_cast<size_t>(fine.count) + 1));
+            list_parents<<<blocks, kThreads, 0, s>>>(fine.keys.data(), fine.count, fine.parent.data(), coarse.keys.ensure(fine.count),
+                                                     coarse.first.ensure(static_cast<size_t>(fine.count) + 1));
             VDBCARVE_LAUNCHED();
             VDBCARVE_CUDA(cudaMemcpyAsync(host + 1, fine.parent.data() + fine.count - 1, sizeof(uint32_t), cudaMemcpyDeviceToHost, s));
             stream.wait();
             coarse.count = host[1];
             stream.zero(p.colored.data(), 1);
-            color_parents<<<blocks_for(coarse.count, kThreads), kThreads, 0, s>>>(fine.colors.data(), fine.known.data(), coarse.first.data(), coarse.count, coarse.colors.ensure(fine.count),
-                                                                                  coarse.known.ensure(fine.count), p.colored.data());
+            color_parents<<<blocks_for(coarse.count, kThreads), kThreads, 0, s>>>(fine.colors.data(), fine.known.data(), coarse.first.data(), coarse.count,
+                                                                                  coarse.colors.ensure(fine.count), coarse.known.ensure(fine.count),
+                                                                                  p.colored.data());
             VDBCARVE_LAUNCHED();
             stream.to_host(host + 2, p.colored.data(), 1);
             stream.wait();
@@ -403,10 +419,11 @@ void ColorStage::fill(const Grid& surface, const Stream& stream, StageTimes& tim
             Parts::Level &level = p.levels[l], &coarse = p.levels[l + 1];
             mark_unknown<<<blocks_for(level.count, kThreads), kThreads, 0, s>>>(level.known.data(), level.count, p.flags.data());
             VDBCARVE_LAUNCHED();
-            VDBCARVE_CUDA(cub::DeviceSelect::Flagged(p.scratch.data(), scratch, numbers, p.flags.data(), p.cells.data(), p.colored.data(), static_cast<int>(level.count), s));
+            VDBCARVE_CUDA(cub::DeviceSelect::Flagged(p.scratch.data(), scratch, numbers, p.flags.data(), p.cells.data(), p.colored.data(),
+                                                     static_cast<int>(level.count), s));
             const size_t links = static_cast<size_t>(level.unknown) * kFillNeighbours;
-            begin_level<<<blocks_for(links, kThreads), kThreads, 0, s>>>(level.keys.data(), level.count, p.cells.data(), level.unknown, level.parent.data(), coarse.colors.data(), level.colors.data(),
-                                                                         p.cell_neighbours.data());
+            begin_level<<<blocks_for(links, kThreads), kThreads, 0, s>>>(level.keys.data(), level.count, p.cells.data(), level.unknown, level.parent.data(),
+                                                                         coarse.colors.data(), level.colors.data(), p.cell_neighbours.data());
             VDBCARVE_LAUNCHED();
             VDBCARVE_CUDA(cudaMemcpyAsync(level.other.ensure(level.count), level.colors.data(), level.count * sizeof(Rgb), cudaMemcpyDeviceToDevice, s));
             static_assert(kFillSweeps % 2 == 0, "the last sweep must end where the first began");
@@ -436,10 +453,12 @@ void ColorStage::spread(const Grid& surface, const Topology& topology, int depth
         stream.zero(p.leaf_colors.data(), voxels);
         VDBCARVE_CUDA(cudaMemsetAsync(p.layers.data(), kNoLayer, voxels, s));
         find_neighbours(topology, surface, p.neighbours.data(), stream);
-        place_contour<<<blocks_for(p.contour_count, kThreads), kThreads, 0, s>>>(p.contour.data(), p.contour_count, p.colors.data(), p.leaf_colors.data(), p.layers.data());
+        place_contour<<<blocks_for(p.contour_count, kThreads), kThreads, 0, s>>>(p.contour.data(), p.contour_count, p.colors.data(), p.leaf_colors.data(),
+                                                                                 p.layers.data());
         VDBCARVE_LAUNCHED();
         for (int pass = 1; pass <= passes; ++pass) {
-            spread_layer<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), p.neighbours.data(), -static_cast<float>(depth_vox) * voxel, kLeastSpread_vox * voxel, pass, p.leaf_colors.data(), p.layers.data(), p.waiting.data());
+            spread_layer<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), p.neighbours.data(), -static_cast<float>(depth_vox) * voxel, kLeastSpread_vox * voxel,
+                                                   pass, p.leaf_colors.data(), p.layers.data(), p.waiting.data());
             VDBCARVE_LAUNCHED();
         }
     });
@@ -454,9 +473,10 @@ const Rgb* ColorStage::leaf_colors() const { return parts_->leaf_colors.data(); 
 const uint8_t* ColorStage::layers() const { return parts_->layers.data(); }
 size_t ColorStage::bytes() const {
     const Parts& p = *parts_;
-    size_t sum = p.words.bytes() + p.walls.bytes() + p.leaf_counts.bytes() + p.leaf_first.bytes() + p.contour.bytes() + p.points.bytes() + p.observations.bytes() + p.candidates.bytes() + p.counts.bytes() + p.blended.bytes() +
-                 p.confidence.bytes() + p.colors.bytes() + p.leaf_colors.bytes() + p.layers.bytes() + p.neighbours.bytes() + p.scratch.bytes() + p.unsorted.bytes() + p.numbers.bytes() + p.order.bytes() + p.cells.bytes() +
-                 p.flags.bytes() + p.cell_neighbours.bytes();
+    size_t sum = p.words.bytes() + p.walls.bytes() + p.leaf_counts.bytes() + p.leaf_first.bytes() + p.contour.bytes() + p.points.bytes() +
+                 p.observations.bytes() + p.candidates.bytes() + p.counts.bytes() + p.blended.bytes() + p.confidence.bytes() + p.colors.bytes() +
+                 p.leaf_colors.bytes() + p.layers.bytes() + p.neighbours.bytes() + p.scratch.bytes() + p.unsorted.bytes() + p.numbers.bytes() +
+                 p.order.bytes() + p.cells.bytes() + p.flags.bytes() + p.cell_neighbours.bytes();
     for (const Parts::Level& level : p.levels) sum += level.bytes();
     return sum;
 }

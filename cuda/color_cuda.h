@@ -18,14 +18,15 @@ class ColorStage {
     ~ColorStage();
 
     /// The contour's voxels and their points; `weights` as of normal_weights(). Waits for their number, which it returns.
-    uint32_t find_contour(const Grid& surface, const kernel::ColorBase& base, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream, StageTimes& times);
+    uint32_t find_contour(const Grid& surface, const kernel::ColorBase& base, int normal_radius_vox, const std::vector<float>& weights, const Stream& stream,
+                          StageTimes& times);
 
     /// Tables that texels are looked up in, device memory.
     const float* linear(bool wide, const std::vector<float>& table, const Stream& stream);
 
     /// What views first <= i < last (views[0] is `first`) show of places (numbers of contour voxels): out[place * (last - first) + i - first].
-    void observe(const std::vector<kernel::ColorView>& views, const kernel::ColorRule& rule, const std::vector<uint32_t>& places, std::vector<kernel::Observation>& out, const Stream& stream,
-                 StageTimes& times);
+    void observe(const std::vector<kernel::ColorView>& views, const kernel::ColorRule& rule, const std::vector<uint32_t>& places,
+                 std::vector<kernel::Observation>& out, const Stream& stream, StageTimes& times);
     /// Adds views first <= i < first + views.size() to every point's candidates; the first call begins anew.
     void find_views(const std::vector<kernel::ColorView>& views, int first, const kernel::ColorRule& rule, const Stream& stream, StageTimes& times);
     /// Candidates become colours. `views` are all of them. Returns how many voxels have one; waits for that.
@@ -34,8 +35,8 @@ class ColorStage {
     void spread(const Grid& surface, const Topology& topology, int depth_vox, int passes, const Stream& stream, StageTimes& times);
 
     uint32_t contour_count() const;
-    const uint32_t* contour() const;         ///< leaf * 512 + offset
-    const uint8_t* views_blended() const;    ///< by contour voxel
+    const uint32_t* contour() const;       ///< leaf * 512 + offset
+    const uint8_t* views_blended() const;  ///< by contour voxel
     const float* confidence() const;
     const uint32_t* voxels_of_view() const;  ///< by view
     const kernel::Rgb* leaf_colors() const;  ///< 512 a leaf

@@ -14,7 +14,8 @@ namespace vdbcarve::cuda {
     (void)cudaGetLastError();  // or the next launch would be blamed for it
     const std::string full(file);
     const std::string where = full.substr(full.rfind('/') + 1) + ":" + std::to_string(line);
-    const std::string remedy = error == cudaErrorMemoryAllocation ? ". Remedy: fewer voxels (--resolution), coarser fields (--field-scale), or --backend cpu" : "";
+    const std::string remedy =
+        error == cudaErrorMemoryAllocation ? ". Remedy: fewer voxels (--resolution), coarser fields (--field-scale), or --backend cpu" : "";
     throw BackendError("CUDA: " + std::string(cudaGetErrorString(error)) + " (" + where + ": " + call + ")" + remedy);
 }
 

@@ -35,7 +35,8 @@ __global__ void count_objects(const uint8_t* volume, size_t voxels, unsigned lon
 
 }  // namespace
 
-void DenseStage::upload(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index, const Stream& stream) {
+void DenseStage::upload(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index,
+                        const Stream& stream) {
     if (masks.size() > 256) throw BackendError("CUDA: the dense method takes at most 256 views");
     views_ = static_cast<int>(masks.size());
     width_ = width;
@@ -43,15 +44,16 @@ void DenseStage::upload(const std::vector<const uint8_t*>& masks, int width, int
     const size_t pixels = static_cast<size_t>(width) * static_cast<size_t>(height);
     masks_.ensure(masks.size() * pixels);
     for (size_t v = 0; v < masks.size(); ++v) stream.to_device(masks_.data() + v * pixels, masks[v], pixels);
-    VDBCARVE_CUDA(cudaMemcpyToSymbolAsync(matrices, pixel_from_index.data(), pixel_from_index.size() * sizeof(pixel_from_index[0]), 0, cudaMemcpyHostToDevice, stream.get()));
+    VDBCARVE_CUDA(cudaMemcpyToSymbolAsync(matrices, pixel_from_index.data(), pixel_from_index.size() * sizeof(pixel_from_index[0]), 0, cudaMemcpyHostToDevice,
+                                          stream.get()));
     stream.wait();
 }
 
 void DenseStage::run(const std::array<int, 3>& dims, const Stream& stream) {
     voxels_ = static_cast<size_t>(dims[0]) * static_cast<size_t>(dims[1]) * static_cast<size_t>(dims[2]);
     volume_.ensure(voxels_);
-    carve_voxels<<<dim3(static_cast<unsigned>((dims[2] + 127) / 128), static_cast<unsigned>(dims[1]), static_cast<unsigned>(dims[0])), 128, 0, stream.get()>>>(masks_.data(), views_, width_, height_, dims[1], dims[2],
-                                                                                                                                               volume_.data());
+    carve_voxels<<<dim3(static_cast<unsigned>((dims[2] + 127) / 128), static_cast<unsigned>(dims[1]), static_cast<unsigned>(dims[0])), 128, 0, stream.get()>>>(
+        masks_.data(), views_, width_, height_, dims[1], dims[2], volume_.data());
     VDBCARVE_LAUNCHED();
 }
 

@@ -13,7 +13,8 @@ namespace vdbcarve::cuda {
 class DenseStage {
   public:
     /// Byte masks (0 background), all of one size, and 3x4 matrices from index coordinates to homogeneous pixels.
-    void upload(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index, const Stream& stream);
+    void upload(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index,
+                const Stream& stream);
     /// Voxels from (0, 0, 0); a thread a voxel, left as soon as one view shows background. Contracted and approximate arithmetic
     /// is allowed: it is what one would write.
     void run(const std::array<int, 3>& dims, const Stream& stream);

@@ -41,7 +41,7 @@ struct WindowJob {
     /// Tiles of 32 x 8 samples: a row of flags for distances along columns that are in reach, a row for those along rows, and so on.
     uint8_t* near;
     int tiles_across;
-    int columns, rows;      ///< of blocks
+    int columns, rows;  ///< of blocks
 };
 
 __device__ bool object_at(const WindowJob& job, int x, int y) { return is_object(job.mask[static_cast<size_t>(y) * job.stride + x]); }
@@ -238,7 +238,8 @@ __global__ void contour_distance(const WindowJob* jobs) {
             for (int half = 0; half < 2; ++half) {
                 const int n = lane % kSide - kRefine_px, r = lane / kSide + 4 * half - kRefine_px;
                 if (y + r < 0 || y + r >= job.height || x + n < 0 || x + n >= job.width) continue;
-                atomicMin(job.best + static_cast<size_t>(y + r) * job.width + x + n, segment_distance2(s, static_cast<float>(n * kSubpixel), static_cast<float>(r * kSubpixel)));
+                atomicMin(job.best + static_cast<size_t>(y + r) * job.width + x + n,
+                          segment_distance2(s, static_cast<float>(n * kSubpixel), static_cast<float>(r * kSubpixel)));
             }
         }
     }
@@ -425,7 +426,8 @@ std::vector<ObjectBox> DistanceStage::prepare(int scale, bool conservative, cons
         silhouettes_[i] = {coverage, width[i], height[i]};
         boxes.push_back({coverage, width[i], height[i]});
     }
-    const size_t coarse_bytes = coarse.size() * sizeof(CoarseJob), ignored_bytes = ignored.size() * sizeof(IgnoreJob), box_bytes = boxes.size() * sizeof(BoxJob);
+    const size_t coarse_bytes = coarse.size() * sizeof(CoarseJob), ignored_bytes = ignored.size() * sizeof(IgnoreJob),
+                 box_bytes = boxes.size() * sizeof(BoxJob);
     uint8_t* host = host_jobs_.ensure(coarse_bytes + ignored_bytes + box_bytes);
     std::copy_n(reinterpret_cast<const uint8_t*>(coarse.data()), coarse_bytes, host);
     std::copy_n(reinterpret_cast<const uint8_t*>(ignored.data()), ignored_bytes, host + coarse_bytes);
@@ -444,7 +446,8 @@ std::vector<ObjectBox> DistanceStage::prepare(int scale, bool conservative, cons
     ObjectBox* found = boxes_.ensure(n);
     empty_boxes<<<pieces_of(static_cast<int>(n), 128), 128, 0, s>>>(found, static_cast<int>(n));
     VDBCARVE_LAUNCHED();
-    object_boxes<<<dim3(std::clamp(most_width * most_height / 16384, 1, 256), 1, n), 256, 0, s>>>(reinterpret_cast<const BoxJob*>(jobs + coarse_bytes + ignored_bytes), found);
+    object_boxes<<<dim3(std::clamp(most_width * most_height / 16384, 1, 256), 1, n), 256, 0, s>>>(
+        reinterpret_cast<const BoxJob*>(jobs + coarse_bytes + ignored_bytes), found);
     VDBCARVE_LAUNCHED();
     stream.to_host(host_boxes_.ensure(n), found, n);
     stream.wait();
@@ -456,7 +459,9 @@ std::vector<DeviceField> DistanceStage::make(const std::vector<FieldJob>& jobs, 
     stream.wait();  // the host's list of jobs is written anew
     size_t samples = 0, blocks = 0, tiles = 0;
     // The last rows of flags of a thread's 32 rows may lie beyond the window.
-    const auto tiles_of = [](const WindowJob& w) { return static_cast<size_t>(w.tiles_across) * 2 * static_cast<size_t>(pieces_of(w.height, kRows)) * (kRows / 8); };
+    const auto tiles_of = [](const WindowJob& w) {
+        return static_cast<size_t>(w.tiles_across) * 2 * static_cast<size_t>(pieces_of(w.height, kRows)) * (kRows / 8);
+    };
     int most_width = 0, most_height = 0, most_columns = 0, most_blocks = 0;
     std::vector<DeviceField> out(jobs.size());
     std::vector<WindowJob> windows(jobs.size());
@@ -465,8 +470,24 @@ std::vector<DeviceField> DistanceStage::make(const std::vector<FieldJob>& jobs, 
         const FieldJob& job = jobs[j];
         const DeviceImage& image = (job.of_ignored ? seen_ : silhouettes_)[static_cast<size_t>(job.view)];
         WindowJob& w = windows[j];
-        w = {image.data + static_cast<size_t>(job.y0) * static_cast<size_t>(image.width) + job.x0, image.width, job.width, job.height, job.reach, job.offset, job.clamp, job.block_offset,
-             nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, pieces_of(job.width, 32), pieces_of(job.width, kBlock_px), pieces_of(job.height, kBlock_px)};
+        w = {image.data + static_cast<size_t>(job.y0) * static_cast<size_t>(image.width) + job.x0,
+             image.width,
+             job.width,
+             job.height,
+             job.reach,
+             job.offset,
+             job.clamp,
+             job.block_offset,
+             nullptr,
+             nullptr,
+             nullptr,
+             nullptr,
+             nullptr,
+             nullptr,
+             nullptr,
+             pieces_of(job.width, 32),
+             pieces_of(job.width, kBlock_px),
+             pieces_of(job.height, kBlock_px)};
         out[j].sample_count = static_cast<size_t>(job.width) * static_cast<size_t>(job.height);
         out[j].block_count = static_cast<size_t>(w.columns) * static_cast<size_t>(w.rows);
         out[j].blocks_per_row = w.columns;
@@ -525,7 +546,8 @@ std::vector<DeviceField> DistanceStage::make(const std::vector<FieldJob>& jobs, 
 }
 
 size_t DistanceStage::bytes() const {
-    return masks_.bytes() + prepared_.bytes() + samples_.bytes() + blocks_.bytes() + vertical_.bytes() + horizontal_.bytes() + best_.bytes() + block_scratch_.bytes();
+    return masks_.bytes() + prepared_.bytes() + samples_.bytes() + blocks_.bytes() + vertical_.bytes() + horizontal_.bytes() + best_.bytes() +
+           block_scratch_.bytes();
 }
 
 }  // namespace vdbcarve::cuda

@@ -35,7 +35,12 @@ __global__ void grow(const Grid::Leaf* leaves, const uint32_t* keys, uint32_t co
         uint64_t all = 0;
         for (int w = 0; w < 8; ++w) all |= words[w];
         constexpr uint64_t kFirst = 0x0101010101010101;
-        const uint64_t layer = lane == 0 ? words[0] : lane == 1 ? words[7] : lane == 2 ? all & 0xff : lane == 3 ? all >> 56 : lane == 4 ? all & kFirst : all & kFirst << 7;
+        const uint64_t layer = lane == 0   ? words[0]
+                               : lane == 1 ? words[7]
+                               : lane == 2 ? all & 0xff
+                               : lane == 3 ? all >> 56
+                               : lane == 4 ? all & kFirst
+                                           : all & kFirst << 7;
         if (!layer) return;
         const int step = lane % 2 ? 8 : -8;
         (lane / 2 == 0 ? x : lane / 2 == 1 ? y : z) += step;
@@ -57,13 +62,16 @@ __global__ void list_keys(TopologyView t, uint32_t* keys) {
 }
 
 /// A block of threads a leaf: its values in voxels, or the tile's.
-__global__ void __launch_bounds__(kLeafVoxels) load_leaves(const Grid::Leaf* leaves, TopologyView from, TopologyView to, const uint32_t* keys, float voxel, float band, float band_vox, float* out) {
+__global__ void __launch_bounds__(kLeafVoxels)
+    load_leaves(const Grid::Leaf* leaves, TopologyView from, TopologyView to, const uint32_t* keys, float voxel, float band, float band_vox, float* out) {
     const uint32_t n = blockIdx.x, key = keys[n];
     const int3 o = to.leaf_origin(key);
     const int block = block_of(from, o.x, o.y, o.z);
     const int64_t old = block < 0 ? -1 : from.leaf_number(block, offset_of(o.x, o.y, o.z));
     const bool inside = to.inside[key / 64] >> (key & 63) & 1;
-    out[static_cast<size_t>(n) * kLeafVoxels + threadIdx.x] = old >= 0 ? in_voxels(leaves[old].data()->mValues[threadIdx.x], voxel, band, band_vox) : inside ? -band_vox : band_vox;
+    out[static_cast<size_t>(n) * kLeafVoxels + threadIdx.x] = old >= 0 ? in_voxels(leaves[old].data()->mValues[threadIdx.x], voxel, band, band_vox)
+                                                              : inside ? -band_vox
+                                                                       : band_vox;
 }
 
 /// Leaves hold their own signs.
@@ -83,7 +91,9 @@ __global__ void list_surroundings(TopologyView t, const uint32_t* keys, uint32_t
     if (block >= 0) {
         const int offset = offset_of(x, y, z);
         const int64_t leaf = t.leaf_number(block, offset);
-        found = leaf >= 0 ? static_cast<int32_t>(leaf) : t.inside[static_cast<size_t>(block) * kBlockWords + offset / 64] >> (offset & 63) & 1 ? kInsideTile : kOutsideTile;
+        found = leaf >= 0                                                                               ? static_cast<int32_t>(leaf)
+                : t.inside[static_cast<size_t>(block) * kBlockWords + offset / 64] >> (offset & 63) & 1 ? kInsideTile
+                                                                                                        : kOutsideTile;
     }
     out[n] = found;
 }
@@ -97,7 +107,9 @@ __device__ void load_halo(const float* from, const int32_t* around, int rx, int 
     for (int n = t; n < size; n += kLeafVoxels) {
         const int x = n / sx - rx, y = n % sx / sy - ry, z = n % sy - rz;
         const int32_t leaf = leaves[((x >> 3) + 1) * 9 + ((y >> 3) + 1) * 3 + (z >> 3) + 1];
-        halo[n] = leaf >= 0 ? from[static_cast<size_t>(leaf) * kLeafVoxels + ((x & 7) << 6 | (y & 7) << 3 | (z & 7))] : leaf == kInsideTile ? -band_vox : band_vox;
+        halo[n] = leaf >= 0             ? from[static_cast<size_t>(leaf) * kLeafVoxels + ((x & 7) << 6 | (y & 7) << 3 | (z & 7))]
+                  : leaf == kInsideTile ? -band_vox
+                                        : band_vox;
     }
     __syncthreads();
 }
@@ -117,10 +129,18 @@ __global__ void __launch_bounds__(kLeafVoxels) filter(FilterPass pass, const flo
         out = median_around<kMedian, float>(at);
     } else {
         switch (pass.kind) {
-            case FilterPass::MeanCurvature: out = mean_curvature_step<float>(at); break;
-            case FilterPass::MeanOfSix: out = mean_of_six<float>(at); break;
-            case FilterPass::Box: out = box_along<float>(line, pass.width); break;
-            default: out = least_along<float>(line, pass.width); break;
+            case FilterPass::MeanCurvature:
+                out = mean_curvature_step<float>(at);
+                break;
+            case FilterPass::MeanOfSix:
+                out = mean_of_six<float>(at);
+                break;
+            case FilterPass::Box:
+                out = box_along<float>(line, pass.width);
+                break;
+            default:
+                out = least_along<float>(line, pass.width);
+                break;
         }
     }
     to[static_cast<size_t>(blockIdx.x) * kLeafVoxels + t] = out;
@@ -143,12 +163,13 @@ __global__ void __launch_bounds__(kLeafVoxels) filter_edges(FilterPass pass, con
     __syncthreads();
     const int i0 = t >> 6, j0 = t >> 3 & 7, k0 = t & 7;
     const int here = ((i0 + r) * s + j0 + r) * s + k0 + r, mine = ((i0 + w) * m + j0 + w) * m + k0 + w;
-    to[static_cast<size_t>(blockIdx.x) * kLeafVoxels + t] = edge_preserving<float>([&](int i, int j, int k) { return halo[here + (i * s + j) * s + k]; },
-                                                                               [&](int i, int j, int k) {
-                                                                                   const int n = mine + (i * m + j) * m + k;
-                                                                                   return BandNormal<float>{normals[n], normals[count + n], normals[2 * count + n]};
-                                                                               },
-                                                                               w, band_vox);
+    to[static_cast<size_t>(blockIdx.x) * kLeafVoxels + t] =
+        edge_preserving<float>([&](int i, int j, int k) { return halo[here + (i * s + j) * s + k]; },
+                               [&](int i, int j, int k) {
+                                   const int n = mine + (i * m + j) * m + k;
+                                   return BandNormal<float>{normals[n], normals[count + n], normals[2 * count + n]};
+                               },
+                               w, band_vox);
 }
 
 __global__ void __launch_bounds__(kLeafVoxels) find_shares(const float* deepest, float keep_thin_vox, float* share) {
@@ -167,7 +188,8 @@ __global__ void __launch_bounds__(kLeafVoxels) keep_sides(const int32_t* around,
     float v = values[n];
     for (int face = 0; face < 6; ++face) {
         const int shift = face / 2 == 0 ? 6 : face / 2 == 1 ? 3 : 0;
-        if ((static_cast<int>(threadIdx.x) >> shift & 7) == (face % 2 ? 7 : 0)) v = beside_tile(v, around[static_cast<size_t>(blockIdx.x) * 27 + beyond_face(face)]);
+        if ((static_cast<int>(threadIdx.x) >> shift & 7) == (face % 2 ? 7 : 0))
+            v = beside_tile(v, around[static_cast<size_t>(blockIdx.x) * 27 + beyond_face(face)]);
     }
     values[n] = v;
 }
@@ -189,8 +211,8 @@ void launch(const FilterPass& pass, const float* from, float* to, const int32_t*
 
 }  // namespace
 
-void FilterStage::run(const Grid& surface, const Topology& topology, const std::vector<FilterPass>& passes, float keep_thin_vox, const std::vector<FilterPass>& thin_passes, float half_width_vox,
-                      const Stream& stream, StageTimes& times) {
+void FilterStage::run(const Grid& surface, const Topology& topology, const std::vector<FilterPass>& passes, float keep_thin_vox,
+                      const std::vector<FilterPass>& thin_passes, float half_width_vox, const Stream& stream, StageTimes& times) {
     const cudaStream_t s = stream.get();
     // Blocks for leaves that grow across a block's border.
     std::vector<std::array<int, 3>> origins;
@@ -209,7 +231,8 @@ void FilterStage::run(const Grid& surface, const Topology& topology, const std::
         const TopologyView view = topology_.view();
         copy_inside<<<blocks_for(static_cast<size_t>(old_view.blocks) * kBlockWords, 256), 256, 0, s>>>(old_view, view);
         VDBCARVE_LAUNCHED();
-        grow<<<blocks_for(static_cast<size_t>(surface.leaf_count()) * 32, 256), 256, 0, s>>>(surface.leaves(), surface.keys(), surface.leaf_count(), old_view, view);
+        grow<<<blocks_for(static_cast<size_t>(surface.leaf_count()) * 32, 256), 256, 0, s>>>(surface.leaves(), surface.keys(), surface.leaf_count(), old_view,
+                                                                                             view);
         VDBCARVE_LAUNCHED();
         topology_.number_leaves(stream);
         n = topology_.leaf_count(stream);
@@ -217,7 +240,8 @@ void FilterStage::run(const Grid& surface, const Topology& topology, const std::
         const size_t words = static_cast<size_t>(counted.blocks) * kBlockWords;
         list_keys<<<blocks_for(words, 256), 256, 0, s>>>(counted, keys_.ensure(n));
         VDBCARVE_LAUNCHED();
-        load_leaves<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), old_view, counted, keys_.data(), static_cast<float>(surface.spec().voxel_size), surface.spec().background, half_width_vox, first_.ensure(static_cast<size_t>(n) * kLeafVoxels));
+        load_leaves<<<n, kLeafVoxels, 0, s>>>(surface.leaves(), old_view, counted, keys_.data(), static_cast<float>(surface.spec().voxel_size),
+                                              surface.spec().background, half_width_vox, first_.ensure(static_cast<size_t>(n) * kLeafVoxels));
         VDBCARVE_LAUNCHED();
         clear_inside<<<blocks_for(words, 256), 256, 0, s>>>(counted);
         VDBCARVE_LAUNCHED();

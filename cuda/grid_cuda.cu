@@ -35,7 +35,8 @@ constexpr int kScanThreads = 1024;
 
 /// One block of threads: sums over the blocks before, in place; totals[0] leaves, [1] lower nodes, then the lower nodes before each
 /// upper node's first block.
-__global__ void __launch_bounds__(kScanThreads) scan_blocks(uint32_t* first, int blocks, int32_t* lower, uint32_t* lower_block, const uint32_t* upper_first, int uppers, uint32_t* totals) {
+__global__ void __launch_bounds__(kScanThreads)
+    scan_blocks(uint32_t* first, int blocks, int32_t* lower, uint32_t* lower_block, const uint32_t* upper_first, int uppers, uint32_t* totals) {
     __shared__ uint32_t warp_leaves[32], warp_lowers[32];
     uint32_t leaves_before = 0, lowers_before = 0;
     const int lane = threadIdx.x % 32, warp = threadIdx.x / 32;
@@ -101,7 +102,8 @@ struct NodePlaces {
     size_t upper_at, lower_at, leaf_at;
 };
 
-__global__ void make_uppers(NodePlaces places, TopologyView topology, const int32_t* lower, const uint32_t* upper_first, const uint32_t* numbers, float background) {
+__global__ void make_uppers(NodePlaces places, TopologyView topology, const int32_t* lower, const uint32_t* upper_first, const uint32_t* numbers,
+                            float background) {
     // numbers[n]: which of the topology's upper nodes the n-th upper node of the grid is.
     const uint32_t u = numbers[blockIdx.y];
     auto* node = reinterpret_cast<NanoUpper*>(places.buffer + places.upper_at) + blockIdx.y;
@@ -118,7 +120,8 @@ __global__ void make_uppers(NodePlaces places, TopologyView topology, const int3
     if (block >= 0) {
         if (lower[block] >= 0) {
             child = true;
-            entry = static_cast<int64_t>(places.lower_at + static_cast<size_t>(lower[block]) * sizeof(NanoLower)) - static_cast<int64_t>(places.upper_at + blockIdx.y * sizeof(NanoUpper));
+            entry = static_cast<int64_t>(places.lower_at + static_cast<size_t>(lower[block]) * sizeof(NanoLower)) -
+                    static_cast<int64_t>(places.upper_at + blockIdx.y * sizeof(NanoUpper));
         } else {
             // Without a leaf the whole block is on one side.
             uint64_t any = 0;
@@ -142,10 +145,11 @@ __global__ void make_lowers(NodePlaces places, TopologyView topology, const uint
     for (int n = threadIdx.x; n < kBlockLeaves; n += blockDim.x) {
         const int64_t leaf = topology.leaf_number(block, n);
         const bool inside = topology.inside[static_cast<size_t>(block) * kBlockWords + n / 64] >> (n & 63) & 1;
-        reinterpret_cast<int64_t*>(data->mTable)[n] =
-            leaf >= 0 ? static_cast<int64_t>(places.leaf_at + static_cast<size_t>(leaf) * sizeof(NanoLeaf)) - here : tile_bits(inside ? -background : background);
+        reinterpret_cast<int64_t*>(data->mTable)[n] = leaf >= 0 ? static_cast<int64_t>(places.leaf_at + static_cast<size_t>(leaf) * sizeof(NanoLeaf)) - here
+                                                                : tile_bits(inside ? -background : background);
     }
-    for (int w = threadIdx.x; w < kBlockWords; w += blockDim.x) reinterpret_cast<uint64_t*>(&data->mChildMask)[w] = topology.leaves[static_cast<size_t>(block) * kBlockWords + w];
+    for (int w = threadIdx.x; w < kBlockWords; w += blockDim.x)
+        reinterpret_cast<uint64_t*>(&data->mChildMask)[w] = topology.leaves[static_cast<size_t>(block) * kBlockWords + w];
     if (threadIdx.x == 0) {
         const int4 o = topology.origin[block];
         data->mBBox[0] = nanovdb::Coord(o.x, o.y, o.z);
@@ -267,7 +271,8 @@ void Topology::cover(const std::array<int, 3>& min, const std::array<int, 3>& ma
 }
 
 void Topology::cover(std::vector<std::array<int, 3>> origins, const Stream& stream) {
-    if (origins.size() >= (size_t{1} << 20)) throw BackendError("CUDA: " + std::to_string(origins.size()) + " blocks of 128^3 voxels, at most a million. Remedy: fewer voxels, or --backend cpu");
+    if (origins.size() >= (size_t{1} << 20))
+        throw BackendError("CUDA: " + std::to_string(origins.size()) + " blocks of 128^3 voxels, at most a million. Remedy: fewer voxels, or --backend cpu");
     const auto upper_of = [](const std::array<int, 3>& o) { return std::array<int, 3>{o[0] & ~4095, o[1] & ~4095, o[2] & ~4095}; };
     std::sort(origins.begin(), origins.end(), [&](const auto& a, const auto& b) {
         const auto ua = upper_of(a), ub = upper_of(b);
@@ -339,7 +344,8 @@ void Topology::number_leaves(const Stream& stream) {
     }
     count_leaves<<<blocks_for(static_cast<size_t>(n) * 32, 256), 256, 0, stream.get()>>>(leaves_.data(), n, word_first_.data(), first_.data());
     VDBCARVE_LAUNCHED();
-    scan_blocks<<<1, kScanThreads, 0, stream.get()>>>(first_.data(), n, lower_.data(), lower_block_.data(), device_upper_first_.data(), uppers, device_counts_.data());
+    scan_blocks<<<1, kScanThreads, 0, stream.get()>>>(first_.data(), n, lower_.data(), lower_block_.data(), device_upper_first_.data(), uppers,
+                                                      device_counts_.data());
     VDBCARVE_LAUNCHED();
     stream.to_host(counts_.data(), device_counts_.data(), 3 + static_cast<size_t>(uppers));
 }
@@ -420,7 +426,8 @@ void Grid::build(const Topology& topology, const GridSpec& spec, const LeafSourc
 
     const TopologyView view = topology.view();
     const cudaStream_t s = stream.get();
-    make_uppers<<<dim3(32768 / 256, tiles), 256, 0, s>>>(places, view, topology.lower_.data(), topology.device_upper_first_.data(), upper_numbers_.data(), spec.background);
+    make_uppers<<<dim3(32768 / 256, tiles), 256, 0, s>>>(places, view, topology.lower_.data(), topology.device_upper_first_.data(), upper_numbers_.data(),
+                                                         spec.background);
     VDBCARVE_LAUNCHED();
     make_lowers<<<lowers, 512, 0, s>>>(places, view, topology.lower_block_.data(), spec.background);
     VDBCARVE_LAUNCHED();
@@ -428,7 +435,8 @@ void Grid::build(const Topology& topology, const GridSpec& spec, const LeafSourc
     VDBCARVE_LAUNCHED();
     empty_boxes<<<blocks_for(lowers + tiles, 128), 128, 0, s>>>(places, lowers, tiles);
     VDBCARVE_LAUNCHED();
-    make_boxes<<<blocks_for(leaves, 128), 128, 0, s>>>(places, view, keys_.data(), leaves, reinterpret_cast<NanoRoot*>(places.buffer + root_at), topology.lower_.data());
+    make_boxes<<<blocks_for(leaves, 128), 128, 0, s>>>(places, view, keys_.data(), leaves, reinterpret_cast<NanoRoot*>(places.buffer + root_at),
+                                                       topology.lower_.data());
     VDBCARVE_LAUNCHED();
     make_upper_boxes<<<tiles, 256, 0, s>>>(places, upper_numbers_.data(), topology.device_upper_first_.data(), topology.lower_.data(), tiles);
     VDBCARVE_LAUNCHED();

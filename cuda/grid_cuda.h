@@ -20,8 +20,8 @@
 namespace vdbcarve::cuda {
 
 inline constexpr int kLeafVoxels = 512;
-inline constexpr int kBlockSide = 128;         ///< voxels along a block
-inline constexpr int kBlockLeaves = 4096;      ///< 16^3
+inline constexpr int kBlockSide = 128;     ///< voxels along a block
+inline constexpr int kBlockLeaves = 4096;  ///< 16^3
 inline constexpr int kBlockWords = kBlockLeaves / 64;
 
 /// Borrowed by kernels. A leaf's key is block * kBlockLeaves + its offset in the block (x << 8 | y << 4 | z, in leaves).
@@ -86,7 +86,10 @@ class Topology {
 
     TopologyView view() const;
     const std::vector<std::array<int, 3>>& origins() const { return origins_; }
-    size_t bytes() const { return leaves_.bytes() + inside_.bytes() + device_origins_.bytes() + block_at_.bytes() + word_first_.bytes() + first_.bytes() + lower_.bytes() + lower_block_.bytes(); }
+    size_t bytes() const {
+        return leaves_.bytes() + inside_.bytes() + device_origins_.bytes() + block_at_.bytes() + word_first_.bytes() + first_.bytes() + lower_.bytes() +
+               lower_block_.bytes();
+    }
 
   private:
     friend class Grid;
@@ -97,14 +100,14 @@ class Topology {
     std::vector<uint32_t> upper_first_;       ///< first block of each, and one past the last
     std::vector<int> lookup_;
     int lo_[3] = {}, size_[3] = {};
-    bool ready_ = false;  ///< the device has the tables of origins_
+    bool ready_ = false;             ///< the device has the tables of origins_
     PinnedBuffer<uint32_t> counts_;  ///< leaves, lower nodes; then the lower nodes before each upper node's blocks, and all
     DeviceBuffer<int4> device_origins_;
     DeviceBuffer<int> block_at_;
     DeviceBuffer<uint64_t> leaves_, inside_;
     DeviceBuffer<uint16_t> word_first_;
     DeviceBuffer<uint32_t> first_, device_counts_, device_upper_first_;
-    DeviceBuffer<int32_t> lower_;        ///< number of the block's lower node; negative where it has none
+    DeviceBuffer<int32_t> lower_;         ///< number of the block's lower node; negative where it has none
     DeviceBuffer<uint32_t> lower_block_;  ///< and back
 };
 

@@ -35,7 +35,8 @@ __device__ float4 fill_halo(float* halo, const int32_t* neighbours, int64_t leaf
         const bool x = face < 2;
         const int source = x ? far << 6 | a << 3 : a << 6 | far << 3, own_at = x ? near << 6 | a << 3 : a << 6 | near << 3;
         const float4 v = *reinterpret_cast<const float4*>((n >= 0 ? values_of(n) + source : own + own_at) + 4 * h);
-        *reinterpret_cast<float4*>(halo + (x ? halo_at(at, a, 4 * h) : halo_at(a, at, 4 * h))) = n >= 0 ? v : make_float4(beyond(v.x), beyond(v.y), beyond(v.z), beyond(v.w));
+        *reinterpret_cast<float4*>(halo + (x ? halo_at(at, a, 4 * h) : halo_at(a, at, 4 * h))) =
+            n >= 0 ? v : make_float4(beyond(v.x), beyond(v.y), beyond(v.z), beyond(v.w));
     }
     // Those across z one by one: the thread's half of the row decides which.
     const int32_t n = around[4 + h];
@@ -51,28 +52,31 @@ __device__ float4 for_four(const float* halo, const float4& mine, const Solve& s
     const float4 x0 = *reinterpret_cast<const float4*>(h - kSlice), x1 = *reinterpret_cast<const float4*>(h + kSlice);
     const float4 y0 = *reinterpret_cast<const float4*>(h - kRow), y1 = *reinterpret_cast<const float4*>(h + kRow);
     const float before = h[-1], after = h[4];
-    return {solve(mine.x, x0.x, x1.x, y0.x, y1.x, before, mine.y), solve(mine.y, x0.y, x1.y, y0.y, y1.y, mine.x, mine.z), solve(mine.z, x0.z, x1.z, y0.z, y1.z, mine.y, mine.w),
-            solve(mine.w, x0.w, x1.w, y0.w, y1.w, mine.z, after)};
+    return {solve(mine.x, x0.x, x1.x, y0.x, y1.x, before, mine.y), solve(mine.y, x0.y, x1.y, y0.y, y1.y, mine.x, mine.z),
+            solve(mine.z, x0.z, x1.z, y0.z, y1.z, mine.y, mine.w), solve(mine.w, x0.w, x1.w, y0.w, y1.w, mine.z, after)};
 }
 
 /// Voxels beside the surface take their distance (negative: fixed), the others wait at the band's edge.
 __global__ void __launch_bounds__(kThreads) measure(const Grid::Leaf* leaves, const int32_t* neighbours, float band_vox, float* out, unsigned* crosses) {
     __shared__ __align__(16) float halo[kHalo];
     const uint32_t leaf = blockIdx.x;
-    const float4 mine = fill_halo(halo, neighbours, leaf, [&](int64_t n) -> const float* { return leaves[n].data()->mValues; }, [](float own) { return own; });
+    const float4 mine = fill_halo(
+        halo, neighbours, leaf, [&](int64_t n) -> const float* { return leaves[n].data()->mValues; }, [](float own) { return own; });
     __syncthreads();
     bool beside = false;
-    reinterpret_cast<float4*>(out + static_cast<size_t>(leaf) * kLeafVoxels)[threadIdx.x] = for_four(halo, mine, [&](float here, float x0, float x1, float y0, float y1, float z0, float z1) {
-        const float x = opposite(here, x0, x1), y = opposite(here, y0, y1), z = opposite(here, z0, z1);
-        if (max_f(max_f(x, y), z) < 0.f) return band_vox;
-        beside = true;
-        return -min_f(plane_distance(here, slope(here, x0, x1, x), slope(here, y0, y1, y), slope(here, z0, z1, z)), band_vox);
-    });
+    reinterpret_cast<float4*>(out + static_cast<size_t>(leaf) * kLeafVoxels)[threadIdx.x] =
+        for_four(halo, mine, [&](float here, float x0, float x1, float y0, float y1, float z0, float z1) {
+            const float x = opposite(here, x0, x1), y = opposite(here, y0, y1), z = opposite(here, z0, z1);
+            if (max_f(max_f(x, y), z) < 0.f) return band_vox;
+            beside = true;
+            return -min_f(plane_distance(here, slope(here, x0, x1, x), slope(here, y0, y1, y), slope(here, z0, z1, z)), band_vox);
+        });
     if (__any_sync(~0u, beside) && threadIdx.x % 32 == 0) *crosses = 1;
 }
 
 /// One pass. A leaf that did not change, and whose neighbours did not, holds the same in both sets.
-__global__ void __launch_bounds__(kThreads) redistance(const float* from, float* to, const int32_t* neighbours, const uint8_t* changed, uint8_t* changes, float band_vox, bool first) {
+__global__ void __launch_bounds__(kThreads)
+    redistance(const float* from, float* to, const int32_t* neighbours, const uint8_t* changed, uint8_t* changes, float band_vox, bool first) {
     __shared__ __align__(16) float halo[kHalo];
     const uint32_t leaf = blockIdx.x;
     bool again = first;
@@ -87,7 +91,8 @@ __global__ void __launch_bounds__(kThreads) redistance(const float* from, float*
         if (threadIdx.x == 0) changes[leaf] = 0;
         return;
     }
-    const float4 mine = fill_halo(halo, neighbours, leaf, [&](int64_t n) { return from + n * kLeafVoxels; }, [&](float) { return band_vox; });
+    const float4 mine = fill_halo(
+        halo, neighbours, leaf, [&](int64_t n) { return from + n * kLeafVoxels; }, [&](float) { return band_vox; });
     __syncthreads();
     const float4 d = for_four(halo, mine, [&](float here, float x0, float x1, float y0, float y1, float z0, float z1) {
         if (here < 0.f) return here;
@@ -102,7 +107,8 @@ __global__ void __launch_bounds__(kThreads) redistance(const float* from, float*
 }
 
 /// Signs and world units again; which leaves hold some of the band.
-__global__ void __launch_bounds__(kLeafVoxels) finish_leaves(const Grid::Leaf* hull, float* distances, const uint32_t* keys, float half_width_vox, float offset_vox, float voxel, TopologyView surface, uint64_t* active) {
+__global__ void __launch_bounds__(kLeafVoxels) finish_leaves(const Grid::Leaf* hull, float* distances, const uint32_t* keys, float half_width_vox,
+                                                             float offset_vox, float voxel, TopologyView surface, uint64_t* active) {
     const uint32_t leaf = blockIdx.x, key = keys[leaf];
     const int t = threadIdx.x;
     const size_t at = static_cast<size_t>(leaf) * kLeafVoxels + t;
@@ -138,7 +144,10 @@ __global__ void __launch_bounds__(kLeafVoxels) measure_leaves(const Grid::Leaf* 
 /// Voxels of leaves that are inside whole.
 __global__ void measure_inside(TopologyView topology, unsigned long long* sum) {
     const int n = blockIdx.x * blockDim.x + threadIdx.x;
-    add_up(n < topology.blocks * kBlockWords ? static_cast<unsigned long long>(__popcll(topology.inside[n])) * kLeafVoxels * static_cast<unsigned long long>(kVolumeUnits) : 0, sum);
+    add_up(n < topology.blocks * kBlockWords
+               ? static_cast<unsigned long long>(__popcll(topology.inside[n])) * kLeafVoxels * static_cast<unsigned long long>(kVolumeUnits)
+               : 0,
+           sum);
 }
 
 }  // namespace
@@ -212,9 +221,10 @@ void LevelSetStage::finish(const Grid& hull, const Topology& hull_topology, int 
     topology_.cover_like(hull_topology, stream);
     times.measure("level_set", stream, [&] {
         const TopologyView old_view = hull_topology.view(), new_view = topology_.view();
-        VDBCARVE_CUDA(cudaMemcpyAsync(new_view.inside, old_view.inside, static_cast<size_t>(old_view.blocks) * kBlockWords * sizeof(uint64_t), cudaMemcpyDeviceToDevice, s));
-        finish_leaves<<<hull.leaf_count(), kLeafVoxels, 0, s>>>(hull.leaves(), values_, hull.keys(), static_cast<float>(half_width_vox), offset_vox, static_cast<float>(hull.spec().voxel_size), new_view,
-                                                               active_.data());
+        VDBCARVE_CUDA(cudaMemcpyAsync(new_view.inside, old_view.inside, static_cast<size_t>(old_view.blocks) * kBlockWords * sizeof(uint64_t),
+                                      cudaMemcpyDeviceToDevice, s));
+        finish_leaves<<<hull.leaf_count(), kLeafVoxels, 0, s>>>(hull.leaves(), values_, hull.keys(), static_cast<float>(half_width_vox), offset_vox,
+                                                                static_cast<float>(hull.spec().voxel_size), new_view, active_.data());
         VDBCARVE_LAUNCHED();
         topology_.number_leaves(stream);
     });

@@ -22,7 +22,9 @@ class LevelSetStage {
 
     Topology& topology() { return topology_; }
     LeafSource leaves(const Grid& hull) const { return {values_, active_.data(), hull.keys(), hull.leaf_count()}; }
-    size_t bytes() const { return topology_.bytes() + first_.bytes() + second_.bytes() + active_.bytes() + neighbours_.bytes() + changed_.bytes() + changes_.bytes(); }
+    size_t bytes() const {
+        return topology_.bytes() + first_.bytes() + second_.bytes() + active_.bytes() + neighbours_.bytes() + changed_.bytes() + changes_.bytes();
+    }
 
   private:
     /// Voxels inside tiles added to sums_, which come home. Waits for the device.

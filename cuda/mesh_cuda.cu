@@ -28,7 +28,8 @@ __device__ void border_corner(int t, int at[3]) {
 }
 
 /// The values of a leaf's 8^3 cells' corners, and the numbers of the leaf and those above it, by which axes lead there.
-__device__ void gather(const nanovdb::NanoGrid<float>* grid, const Grid::Leaf* leaves, const TopologyView& topology, const uint32_t* keys, uint32_t leaf, float* values, int* around) {
+__device__ void gather(const nanovdb::NanoGrid<float>* grid, const Grid::Leaf* leaves, const TopologyView& topology, const uint32_t* keys, uint32_t leaf,
+                       float* values, int* around) {
     const int t = threadIdx.x;
     if (t < 8) around[t] = t == 0 ? static_cast<int>(leaf) : static_cast<int>(topology.neighbour(keys[leaf], t >> 2, t >> 1 & 1, t & 1));
     values[at9(t >> 6, t >> 3 & 7, t & 7)] = leaves[leaf].data()->mValues[t];
@@ -56,8 +57,9 @@ __device__ unsigned case_of(const float* values, int t) {
     return mask;
 }
 
-__global__ void __launch_bounds__(kLeafVoxels) count(const nanovdb::NanoGrid<float>* grid, const Grid::Leaf* leaves, TopologyView topology, const uint32_t* keys, const MarchingCase* cases, LeafEdges* edges,
-                                                     uint32_t* vertices, uint32_t* triangles, unsigned* open) {
+__global__ void __launch_bounds__(kLeafVoxels)
+    count(const nanovdb::NanoGrid<float>* grid, const Grid::Leaf* leaves, TopologyView topology, const uint32_t* keys, const MarchingCase* cases,
+          LeafEdges* edges, uint32_t* vertices, uint32_t* triangles, unsigned* open) {
     __shared__ float values[kCorners];
     __shared__ int around[8];
     __shared__ LeafEdges found;
@@ -125,8 +127,9 @@ __global__ void __launch_bounds__(kLeafVoxels) count(const nanovdb::NanoGrid<flo
 }
 
 template <bool kNormals>
-__global__ void __launch_bounds__(kLeafVoxels) emit(const nanovdb::NanoGrid<float>* grid, const Grid::Leaf* leaves, TopologyView topology, const uint32_t* keys, const MarchingCase* cases, const LeafEdges* edges,
-                                                    const uint32_t* first_vertex, const uint32_t* first_triangle, LatticeFrame frame, float* vertices, float* normals, uint32_t* triangles) {
+__global__ void __launch_bounds__(kLeafVoxels) emit(const nanovdb::NanoGrid<float>* grid, const Grid::Leaf* leaves, TopologyView topology, const uint32_t* keys,
+                                                    const MarchingCase* cases, const LeafEdges* edges, const uint32_t* first_vertex,
+                                                    const uint32_t* first_triangle, LatticeFrame frame, float* vertices, float* normals, uint32_t* triangles) {
     __shared__ float values[kCorners];
     __shared__ int around[8];
     __shared__ LeafEdges own;
@@ -181,17 +184,20 @@ __global__ void __launch_bounds__(kLeafVoxels) emit(const nanovdb::NanoGrid<floa
     for (unsigned n = t; n < 3 * triangles_here; n += kLeafVoxels) {
         const unsigned item = list[n / 3], cell = item & 511;
         const int code = cases[masks[cell]].edges[3 * (item >> 9) + n % 3], axis = code & 3, corner = code >> 2;
-        const int x = static_cast<int>(cell >> 6) + (corner >> 2), y = static_cast<int>(cell >> 3 & 7) + (corner >> 1 & 1), z = static_cast<int>(cell & 7) + (corner & 1);
+        const int x = static_cast<int>(cell >> 6) + (corner >> 2), y = static_cast<int>(cell >> 3 & 7) + (corner >> 1 & 1),
+                  z = static_cast<int>(cell & 7) + (corner & 1);
         const int edge = axis << 9 | (x & 7) << 6 | (y & 7) << 3 | (z & 7);
         const int from = around[(x >> 3) << 2 | (y >> 3) << 1 | z >> 3];
-        triangles[3 * static_cast<size_t>(triangle) + n] =
-            from == static_cast<int>(leaf) ? vertex + static_cast<uint32_t>(edge_rank(own, edge)) : first_vertex[from] + static_cast<uint32_t>(edge_rank(edges[from], edge));
+        triangles[3 * static_cast<size_t>(triangle) + n] = from == static_cast<int>(leaf)
+                                                               ? vertex + static_cast<uint32_t>(edge_rank(own, edge))
+                                                               : first_vertex[from] + static_cast<uint32_t>(edge_rank(edges[from], edge));
     }
 }
 
 }  // namespace
 
-bool MeshStage::run(const Grid& surface, const Topology& topology, const std::array<MarchingCase, 256>& cases, bool normals, const Stream& stream, StageTimes& times) {
+bool MeshStage::run(const Grid& surface, const Topology& topology, const std::array<MarchingCase, 256>& cases, bool normals, const Stream& stream,
+                    StageTimes& times) {
     vertex_count_ = triangle_count_ = 0;
     made_ = has_normals_ = false;
     const uint32_t n = surface.leaf_count();
@@ -236,8 +242,8 @@ bool MeshStage::run(const Grid& surface, const Topology& topology, const std::ar
         if (normals) normals_.ensure(3 * vertex_count_);
         const auto& spec = surface.spec();
         const LatticeFrame frame{{spec.first_voxel_world[0], spec.first_voxel_world[1], spec.first_voxel_world[2]}, spec.voxel_size};
-        (normals ? emit<true> : emit<false>)<<<n, kLeafVoxels, 0, s>>>(surface.grid(), surface.leaves(), view, surface.keys(), cases_.data(), edges_.data(), firsts, first_triangle, frame, vertices_.data(),
-                                                                       normals_.data(), triangles_.data());
+        (normals ? emit<true> : emit<false>)<<<n, kLeafVoxels, 0, s>>>(surface.grid(), surface.leaves(), view, surface.keys(), cases_.data(), edges_.data(),
+                                                                       firsts, first_triangle, frame, vertices_.data(), normals_.data(), triangles_.data());
         VDBCARVE_LAUNCHED();
         made_ = true;
         has_normals_ = normals;

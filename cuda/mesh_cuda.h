@@ -13,7 +13,8 @@ class MeshStage {
   public:
     /// Extracts the zero surface. False where cells that it crosses lie below leaves that do not exist: no level set with a whole band has
     /// such, and the host's way through handles them. Waits for the device once, for the sizes.
-    bool run(const Grid& surface, const Topology& topology, const std::array<kernel::MarchingCase, 256>& cases, bool normals, const Stream& stream, StageTimes& times);
+    bool run(const Grid& surface, const Topology& topology, const std::array<kernel::MarchingCase, 256>& cases, bool normals, const Stream& stream,
+             StageTimes& times);
 
     bool made() const { return made_; }
     bool has_normals() const { return has_normals_; }
@@ -22,7 +23,9 @@ class MeshStage {
     const float* vertices() const { return vertices_.data(); }  ///< x y z, world units
     const uint32_t* triangles() const { return triangles_.data(); }
     const float* normals() const { return normals_.data(); }
-    size_t bytes() const { return edges_.bytes() + counts_.bytes() + firsts_.bytes() + vertices_.bytes() + normals_.bytes() + triangles_.bytes() + scratch_.bytes(); }
+    size_t bytes() const {
+        return edges_.bytes() + counts_.bytes() + firsts_.bytes() + vertices_.bytes() + normals_.bytes() + triangles_.bytes() + scratch_.bytes();
+    }
 
   private:
     DeviceBuffer<kernel::MarchingCase> cases_;

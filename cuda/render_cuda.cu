@@ -22,8 +22,9 @@ __global__ void find_box(const Grid::Leaf* leaves, uint32_t count, int* box) {
 }
 
 template <int style>
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) render_pixels(RenderVolume volume, RenderRule rule, uint32_t* pixels) {
-    const int x = static_cast<int>(blockIdx.x) * kTileWidth + static_cast<int>(threadIdx.x), y = static_cast<int>(blockIdx.y) * kTileHeight + static_cast<int>(threadIdx.y);
+__global__ void __launch_bounds__(kTileWidth* kTileHeight) render_pixels(RenderVolume volume, RenderRule rule, uint32_t* pixels) {
+    const int x = static_cast<int>(blockIdx.x) * kTileWidth + static_cast<int>(threadIdx.x),
+              y = static_cast<int>(blockIdx.y) * kTileHeight + static_cast<int>(threadIdx.y);
     if (x < rule.width && y < rule.height) pixels[static_cast<size_t>(y) * rule.width + x] = render_pixel<style>(volume, rule, x, y);
 }
 
@@ -66,7 +67,8 @@ std::array<int, 6> RenderStage::leaf_box(const Grid& grid, const Stream& stream,
     return {host[0], host[1], host[2], host[3], host[4], host[5]};
 }
 
-const uint8_t* RenderStage::render(const Grid& grid, const ColorBase& base, const SightBox& box, RenderRule rule, const std::vector<Vec3>& ambient, const std::vector<uint8_t>& srgb, const Stream& stream, StageTimes& times) {
+const uint8_t* RenderStage::render(const Grid& grid, const ColorBase& base, const SightBox& box, RenderRule rule, const std::vector<Vec3>& ambient,
+                                   const std::vector<uint8_t>& srgb, const Stream& stream, StageTimes& times) {
     Parts& p = *parts_;
     const auto voxel = static_cast<float>(grid.spec().voxel_size);
     const size_t words = static_cast<size_t>(grid.leaf_count()) * kWallWords;
@@ -82,7 +84,11 @@ const uint8_t* RenderStage::render(const Grid& grid, const ColorBase& base, cons
     });
     rule.ambient = directions;
     rule.srgb = table;
-    const RenderVolume volume{{grid.grid(), near, near_threshold, base}, {grid.grid(), solid, 0.f, base}, box, p.has_colors ? reinterpret_cast<const nanovdb::NanoGrid<nanovdb::Vec3f>*>(p.colors.data()) : nullptr, voxel};
+    const RenderVolume volume{{grid.grid(), near, near_threshold, base},
+                              {grid.grid(), solid, 0.f, base},
+                              box,
+                              p.has_colors ? reinterpret_cast<const nanovdb::NanoGrid<nanovdb::Vec3f>*>(p.colors.data()) : nullptr,
+                              voxel};
     uint32_t* pixels = p.pixels.ensure(static_cast<size_t>(rule.width) * rule.height);
     times.measure("render", stream, [&] {
         const dim3 blocks((rule.width + kTileWidth - 1) / kTileWidth, (rule.height + kTileHeight - 1) / kTileHeight), threads(kTileWidth, kTileHeight);

@@ -25,7 +25,8 @@ class RenderStage {
     std::array<int, 6> leaf_box(const Grid& grid, const Stream& stream, StageTimes& times);
 
     /// The pixels, RGBA, device memory, until the next call. `rule` comes without its tables, which follow.
-    const uint8_t* render(const Grid& grid, const kernel::ColorBase& base, const kernel::SightBox& box, kernel::RenderRule rule, const std::vector<kernel::Vec3>& ambient, const std::vector<uint8_t>& srgb, const Stream& stream, StageTimes& times);
+    const uint8_t* render(const Grid& grid, const kernel::ColorBase& base, const kernel::SightBox& box, kernel::RenderRule rule,
+                          const std::vector<kernel::Vec3>& ambient, const std::vector<uint8_t>& srgb, const Stream& stream, StageTimes& times);
 
     size_t bytes() const;
 

@@ -20,7 +20,8 @@ __device__ bool pixel_of_thread(const Size& size, int& x, int& y) {
     return x < size.width && y < size.height;
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) ask_hull(RenderVolume volume, HullView view, const uint8_t* object, Size size, HullSight* out, uint32_t* count) {
+__global__ void __launch_bounds__(kTileWidth* kTileHeight)
+    ask_hull(RenderVolume volume, HullView view, const uint8_t* object, Size size, HullSight* out, uint32_t* count) {
     int x, y;
     if (!pixel_of_thread(size, x, y)) return;
     const int n = y * size.width + x;
@@ -34,12 +35,12 @@ __global__ void __launch_bounds__(kTileWidth * kTileHeight) ask_hull(RenderVolum
     out[n] = sight;
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) start_planes(StereoReference reference, StereoBest* planes) {
+__global__ void __launch_bounds__(kTileWidth* kTileHeight) start_planes(StereoReference reference, StereoBest* planes) {
     int x, y;
     if (pixel_of_thread({reference.image.width, reference.image.height}, x, y)) planes[y * reference.image.width + x] = first_plane(reference, x, y);
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) better_planes(StereoReference reference, StereoBest* planes, int pass, int color) {
+__global__ void __launch_bounds__(kTileWidth* kTileHeight) better_planes(StereoReference reference, StereoBest* planes, int pass, int color) {
     const int y = static_cast<int>(blockIdx.y) * kTileHeight + static_cast<int>(threadIdx.y);
     const int x = 2 * (static_cast<int>(blockIdx.x) * kTileWidth + static_cast<int>(threadIdx.x)) + ((y + color) & 1);
     if (x >= reference.image.width || y >= reference.image.height) return;
@@ -47,7 +48,8 @@ __global__ void __launch_bounds__(kTileWidth * kTileHeight) better_planes(Stereo
     planes[y * reference.image.width + x] = better_plane(reference, planes, x, y, pass);  // reads pixels of the other colour only, and its own
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) find_likely(StereoReference reference, const StereoBest* planes, StereoTrustRule rule, float* likely, uint32_t* count) {
+__global__ void __launch_bounds__(kTileWidth* kTileHeight)
+    find_likely(StereoReference reference, const StereoBest* planes, StereoTrustRule rule, float* likely, uint32_t* count) {
     int x, y;
     if (!pixel_of_thread({reference.image.width, reference.image.height}, x, y)) return;
     const int n = y * reference.image.width + x;
@@ -55,21 +57,22 @@ __global__ void __launch_bounds__(kTileWidth * kTileHeight) find_likely(StereoRe
     if (likely[n] > 0.f) atomicAdd(count, 1u);
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) find_agreed(StereoReference reference, const StereoDepths* depths, const uint8_t* object, StereoTrustRule rule, float* agreed) {
+__global__ void __launch_bounds__(kTileWidth* kTileHeight)
+    find_agreed(StereoReference reference, const StereoDepths* depths, const uint8_t* object, StereoTrustRule rule, float* agreed) {
     int x, y;
     if (!pixel_of_thread({reference.image.width, reference.image.height}, x, y)) return;
     const int n = y * reference.image.width + x;
     agreed[n] = object[n] < 2 ? 0.f : agreed_likelihood(reference, depths, rule, x, y);
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) forget_coarser(Size fine, const float* agreed, Size coarse, int halvings, float* theirs) {
+__global__ void __launch_bounds__(kTileWidth* kTileHeight) forget_coarser(Size fine, const float* agreed, Size coarse, int halvings, float* theirs) {
     int x, y;
     if (!pixel_of_thread(fine, x, y)) return;
     const int cx = x >> halvings, cy = y >> halvings;
     if (cx < coarse.width && cy < coarse.height && agreed[y * fine.width + x] > 0.f) theirs[cy * coarse.width + cx] = 0.f;
 }
 
-__global__ void __launch_bounds__(kTileWidth * kTileHeight) find_depths(Size size, StereoLens lens, const StereoBest* planes, const float* agreed, float* out) {
+__global__ void __launch_bounds__(kTileWidth* kTileHeight) find_depths(Size size, StereoLens lens, const StereoBest* planes, const float* agreed, float* out) {
     int x, y;
     if (!pixel_of_thread(size, x, y)) return;
     const int n = y * size.width + x;
@@ -77,7 +80,9 @@ __global__ void __launch_bounds__(kTileWidth * kTileHeight) find_depths(Size siz
 }
 
 /// A thread a voxel, a block of threads a leaf. Blocks that nothing is known of leave no trace.
-__global__ void __launch_bounds__(kLeafVoxels) fuse_blocks(const nanovdb::NanoGrid<float>* grid, ColorBase base, FusionRule rule, const FusionView* views, int count, const int3* blocks, uint32_t* slots, uint32_t* block_of_slot, float* values, float* confidence) {
+__global__ void __launch_bounds__(kLeafVoxels)
+    fuse_blocks(const nanovdb::NanoGrid<float>* grid, ColorBase base, FusionRule rule, const FusionView* views, int count, const int3* blocks, uint32_t* slots,
+                uint32_t* block_of_slot, float* values, float* confidence) {
     const int3 first = blocks[blockIdx.x];
     const int at = static_cast<int>(threadIdx.x), i = first.x + (at >> 6), j = first.y + (at >> 3 & 7), k = first.z + (at & 7);
     const float before = grid->tree().getValue(nanovdb::Coord(i, j, k));
@@ -115,7 +120,7 @@ struct StereoStage::Parts {
         DeviceBuffer<float> agreed;
     };
     std::vector<Level> levels;
-    size_t level = 0;               ///< the one at hand
+    size_t level = 0;  ///< the one at hand
     bool after_coarser = false;
     DeviceBuffer<float> grey, likely;
     DeviceBuffer<uint8_t> object;
@@ -251,7 +256,8 @@ void StereoStage::agree(const std::vector<Work>& views, const StereoTrustRule& r
         for (const Work& work : views) {
             const StereoReference& reference = work.reference;
             const Parts::View& v = level.views[static_cast<size_t>(reference.view)];
-            find_agreed<<<p.blocks(v, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>(reference, p.depths.data(), p.object.data() + v.first, rule, level.agreed.data() + v.first);
+            find_agreed<<<p.blocks(v, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>(reference, p.depths.data(), p.object.data() + v.first,
+                                                                                                     rule, level.agreed.data() + v.first);
             VDBCARVE_LAUNCHED();
         }
     });
@@ -267,7 +273,9 @@ void StereoStage::leave_to_finer(size_t levels, const Stream& stream, StageTimes
                 for (size_t n = 0; n < p.levels[l].views.size(); ++n) {
                     const Parts::View &f = p.levels[finer].views[n], &c = p.levels[l].views[n];
                     if (!f.matched || !c.matched) continue;
-                    forget_coarser<<<p.blocks(f, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>({f.width, f.height}, p.levels[finer].agreed.data() + f.first, {c.width, c.height}, static_cast<int>(l - finer), p.levels[l].agreed.data() + c.first);
+                    forget_coarser<<<p.blocks(f, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>(
+                        {f.width, f.height}, p.levels[finer].agreed.data() + f.first, {c.width, c.height}, static_cast<int>(l - finer),
+                        p.levels[l].agreed.data() + c.first);
                     VDBCARVE_LAUNCHED();
                 }
     });
@@ -280,7 +288,8 @@ std::vector<uint32_t> StereoStage::counts(const Stream& stream) const {
     return out;
 }
 
-StereoStage::Fused StereoStage::fuse(const FusionRule& rule, const std::vector<FusedView>& views, const std::vector<std::array<int, 3>>& blocks, const Stream& stream, StageTimes& times) {
+StereoStage::Fused StereoStage::fuse(const FusionRule& rule, const std::vector<FusedView>& views, const std::vector<std::array<int, 3>>& blocks,
+                                     const Stream& stream, StageTimes& times) {
     Parts& p = *parts_;
     if (views.empty() || blocks.empty()) return {0, nullptr, nullptr, nullptr};
     std::vector<FusionView> fusion;
@@ -302,7 +311,9 @@ StereoStage::Fused StereoStage::fuse(const FusionRule& rule, const std::vector<F
         stream.to_device(p.fusion.data(), fusion.data(), fusion.size());
         stream.to_device(p.blocks_first.data(), reinterpret_cast<const int3*>(blocks.data()), blocks.size());
         stream.zero(p.slots.data(), 1);
-        fuse_blocks<<<static_cast<unsigned>(blocks.size()), kLeafVoxels, 0, stream.get()>>>(p.volume.near.grid, p.volume.near.base, rule, p.fusion.data(), static_cast<int>(fusion.size()), p.blocks_first.data(), p.slots.data(), p.block_of_slot.data(), p.values.data(), p.confidence.data());
+        fuse_blocks<<<static_cast<unsigned>(blocks.size()), kLeafVoxels, 0, stream.get()>>>(
+            p.volume.near.grid, p.volume.near.base, rule, p.fusion.data(), static_cast<int>(fusion.size()), p.blocks_first.data(), p.slots.data(),
+            p.block_of_slot.data(), p.values.data(), p.confidence.data());
         VDBCARVE_LAUNCHED();
         stream.to_host(p.slot_count.data(), p.slots.data(), 1);
     });
@@ -315,7 +326,8 @@ const float* StereoStage::depths(size_t view, const Stream& stream, StageTimes& 
     const Parts::Level& level = p.levels.front();
     const Parts::View& v = level.views[view];
     times.measure("stereo: depths", stream, [&] {
-        find_depths<<<p.blocks(v, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>({v.width, v.height}, v.lens, level.planes.data() + v.first, level.agreed.data() + v.first, p.likely.data() + v.first);
+        find_depths<<<p.blocks(v, kTileWidth), dim3(kTileWidth, kTileHeight), 0, stream.get()>>>({v.width, v.height}, v.lens, level.planes.data() + v.first,
+                                                                                                 level.agreed.data() + v.first, p.likely.data() + v.first);
         VDBCARVE_LAUNCHED();
     });
     return p.likely.data() + v.first;
@@ -337,7 +349,9 @@ void StereoStage::release() {
 
 size_t StereoStage::bytes() const {
     const Parts& p = *parts_;
-    size_t out = p.grey.bytes() + p.likely.bytes() + p.object.bytes() + Parts::kLanes * p.lanes[0].hull.bytes() + p.depths.bytes() + p.counts.bytes() + p.near.bytes() + p.solid.bytes() + p.fusion.bytes() + p.blocks_first.bytes() + p.block_of_slot.bytes() + p.values.bytes() + p.confidence.bytes();
+    size_t out = p.grey.bytes() + p.likely.bytes() + p.object.bytes() + Parts::kLanes * p.lanes[0].hull.bytes() + p.depths.bytes() + p.counts.bytes() +
+                 p.near.bytes() + p.solid.bytes() + p.fusion.bytes() + p.blocks_first.bytes() + p.block_of_slot.bytes() + p.values.bytes() +
+                 p.confidence.bytes();
     for (const Parts::Level& level : p.levels) out += level.planes.bytes() + level.agreed.bytes();
     return out;
 }

@@ -28,7 +28,8 @@ class StereoStage {
     /// What lines of sight need of the grid, which has to stay where it is.
     void set_hull(const Grid& grid, const kernel::ColorBase& base, const kernel::SightBox& box, const Stream& stream, StageTimes& times);
 
-    /// The pixels of a size of photographs to the device, coarsest first, where what is found of it stays. `after_coarser`: level + 1 is there, of half this size, and is begun with.
+    /// The pixels of a size of photographs to the device, coarsest first, where what is found of it stays. `after_coarser`: level + 1 is there, of half this
+    /// size, and is begun with.
     void begin(size_t level, const std::vector<StereoPixels>& views, bool after_coarser, const Stream& stream, StageTimes& times);
 
     struct Work {
@@ -50,8 +51,8 @@ class StereoStage {
     /// Blocks of 8^3 that the depths say something of, in no order.
     struct Fused {
         uint32_t count;
-        const uint32_t* block;              ///< device memory, as what follows
-        const float *values, *confidence;   ///< 512 of each
+        const uint32_t* block;             ///< device memory, as what follows
+        const float *values, *confidence;  ///< 512 of each
     };
     /// A view of a level, for the fusion; `fusion` comes without pointers.
     struct FusedView {
@@ -59,7 +60,8 @@ class StereoStage {
         kernel::FusionView fusion;
     };
     /// Asks all views about every voxel of the blocks, whose first voxels are given. Waits for the device.
-    Fused fuse(const kernel::FusionRule& rule, const std::vector<FusedView>& views, const std::vector<std::array<int, 3>>& blocks, const Stream& stream, StageTimes& times);
+    Fused fuse(const kernel::FusionRule& rule, const std::vector<FusedView>& views, const std::vector<std::array<int, 3>>& blocks, const Stream& stream,
+               StageTimes& times);
 
     /// Trusted depths of a view of the finest level, 0 elsewhere, and confidences: device memory, until the next call.
     const float* depths(size_t view, const Stream& stream, StageTimes& times);

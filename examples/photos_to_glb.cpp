@@ -25,7 +25,8 @@ int main(int count, char** words) {
     progress.on_warning = [](const std::string& text) { std::printf("warning: %s\n", text.c_str()); };
     try {
         const Reconstruction result = reconstruct(options, progress);
-        std::printf("%s/mesh.glb: %zu faces, %s, agrees with the silhouettes by %.3f (median IoU)\n", words[2], result.mesh.faces, result.mesh.manifold ? "closed and manifold" : "not closed", result.median_iou);
+        std::printf("%s/mesh.glb: %zu faces, %s, agrees with the silhouettes by %.3f (median IoU)\n", words[2], result.mesh.faces,
+                    result.mesh.manifold ? "closed and manifold" : "not closed", result.median_iou);
     } catch (const Error& error) {
         std::fprintf(stderr, "%s\n", error.what());
         return static_cast<int>(error.code());

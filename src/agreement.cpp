@@ -32,7 +32,8 @@ std::array<int, 4> window_of(ImageView<uint8_t> a, ImageView<uint8_t> b) {
 Image8 cropped(ImageView<uint8_t> image, const std::array<int, 4>& box) {
     if (image.empty()) return {};
     Image8 out(box[2] - box[0], box[3] - box[1]);
-    for (int y = 0; y < out.height; ++y) std::copy_n(&image.at(box[0], box[1] + y), out.width, out.data.data() + static_cast<size_t>(y) * static_cast<size_t>(out.width));
+    for (int y = 0; y < out.height; ++y)
+        std::copy_n(&image.at(box[0], box[1] + y), out.width, out.data.data() + static_cast<size_t>(y) * static_cast<size_t>(out.width));
     return out;
 }
 
@@ -113,7 +114,8 @@ Image8 mask_overlay(ImageView<uint8_t> photo, const Mask& mask) {
     constexpr int kMostWidth = 1024;
     const Image8& m = mask.coverage;
     const int width = std::min(m.width, kMostWidth), height = std::max(1, static_cast<int>(std::lround(static_cast<double>(m.height) * width / m.width)));
-    const Image8 small_photo = photo.empty() ? Image8() : io::downscale(photo, width, height), small = io::downscale(m, width, height), ignore = mask.ignore.empty() ? Image8() : io::downscale(mask.ignore, width, height);
+    const Image8 small_photo = photo.empty() ? Image8() : io::downscale(photo, width, height), small = io::downscale(m, width, height),
+                 ignore = mask.ignore.empty() ? Image8() : io::downscale(mask.ignore, width, height);
     Image8 out(width, height, 3);
     for (int y = 0; y < height; ++y)
         for (int x = 0; x < width; ++x) {

@@ -82,12 +82,16 @@ class Judge {
         std::vector<double> own, dissent;
         for (size_t i : s_.seen()) own.push_back(views[i].residual_px), dissent.push_back(views[i].dissent);
         // Real masks stray by a pixel here and there; that is what trimming points is for.
-        const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}), dissent_limit = std::clamp(5 * median(dissent), 0.008, robust ? 0.02 : 1.0);
+        const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}),
+                     dissent_limit = std::clamp(5 * median(dissent), 0.008, robust ? 0.02 : 1.0);
         std::vector<std::pair<double, size_t>> worst;
         for (size_t i : s_.seen())
-            if (!std::count(known.begin(), known.end(), i) && (views[i].residual_px > own_limit || views[i].dissent > dissent_limit)) worst.push_back({std::max(views[i].residual_px / own_limit, views[i].dissent / dissent_limit), i});
+            if (!std::count(known.begin(), known.end(), i) && (views[i].residual_px > own_limit || views[i].dissent > dissent_limit))
+                worst.push_back({std::max(views[i].residual_px / own_limit, views[i].dissent / dissent_limit), i});
         std::sort(worst.rbegin(), worst.rend());
-        for (const auto& [how, i] : worst) aligner_.trace("contradicts: %zu own %.2f (limit %.2f) dissent %.4f (limit %.4f)", i, views[i].residual_px, own_limit, views[i].dissent, dissent_limit);
+        for (const auto& [how, i] : worst)
+            aligner_.trace("contradicts: %zu own %.2f (limit %.2f) dissent %.4f (limit %.4f)", i, views[i].residual_px, own_limit, views[i].dissent,
+                           dissent_limit);
         std::vector<size_t> out = known;
         for (const auto& [how, i] : worst)
             if (how >= 0.3 * worst.front().first && out.size() < s_.seen().size() / 4) out.push_back(i);
@@ -181,7 +185,13 @@ std::vector<double> rms_of_tracks(const CoherenceFit& f) {
 class Alignment {
   public:
     Alignment(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, Progress& progress)
-        : given_(given), masks_(masks), o_(o), progress_(progress), aligner_(given, masks, o, progress), silhouettes_(aligner_.silhouettes()), judge_(aligner_, given) {}
+        : given_(given),
+          masks_(masks),
+          o_(o),
+          progress_(progress),
+          aligner_(given, masks, o, progress),
+          silhouettes_(aligner_.silhouettes()),
+          judge_(aligner_, given) {}
 
     AlignResult run() {
         progress_.begin("align", 12);
@@ -243,7 +253,8 @@ class Alignment {
             best_ = aligner_.run(out_.rungs);
         }
         // Of several rings the other direction was tried with the first one only: it is there for its residual, not to be chosen.
-        Turn turn = sitting_of_.empty() ? RingAligner::lead(best_).turn : std::find_if(best_.begin(), best_.end(), [&](const auto& b) { return whole(b.second); })->first;
+        Turn turn = sitting_of_.empty() ? RingAligner::lead(best_).turn
+                                        : std::find_if(best_.begin(), best_.end(), [&](const auto& b) { return whole(b.second); })->first;
         if (o_.method == AlignMethod::Coherence && o_.features && mirrored_alike(best_[turn])) turn = direction_by_features(turn);
         c_ = best_[turn];
     }
@@ -267,10 +278,12 @@ class Alignment {
         for (const auto& [turn, c] : best_)
             if (whole(c)) votes[turn] = near_side(c.fit, tracks);
         if (votes.size() < best_.size()) return lead;
-        for (const auto& [turn, v] : votes) aligner_.trace("%s: %zu features of %zu fit, %.0f %% of them on the near side", name_of(turn), v.matches, tracks.size(), 100 * v.share);
+        for (const auto& [turn, v] : votes)
+            aligner_.trace("%s: %zu features of %zu fit, %.0f %% of them on the near side", name_of(turn), v.matches, tracks.size(), 100 * v.share);
         const auto votes_for = [](const NearSide& v) { return static_cast<double>(v.matches) * v.share; };
         for (const auto& [turn, v] : votes) {
-            const double others = std::accumulate(votes.begin(), votes.end(), 0.0, [&, t = turn](double sum, const auto& w) { return w.first == t ? sum : sum + votes_for(w.second); });
+            const double others = std::accumulate(votes.begin(), votes.end(), 0.0,
+                                                  [&, t = turn](double sum, const auto& w) { return w.first == t ? sum : sum + votes_for(w.second); });
             if (v.matches < 30 || v.share < 0.85 || votes_for(v) < 4 * others) continue;
             by_features_ = true;
             out_.features = v.matches;
@@ -353,8 +366,8 @@ class Alignment {
             for (size_t i : bad) silhouettes_.set_bad(i, true);
             c_.misses = 0;
             aligner_.settle(c_);
-            // One that is wrong draws touches away from where they belong, and its neighbours seem wrong too: each is asked alone, now that cameras are better. Who fits was named for nothing,
-            // and with it back in its place the next may fit.
+            // One that is wrong draws touches away from where they belong, and its neighbours seem wrong too: each is asked alone, now that cameras are better.
+            // Who fits was named for nothing, and with it back in its place the next may fit.
             std::map<size_t, double> dissent;
             while (!bad.empty()) {
                 const std::vector<size_t> named = bad;
@@ -378,7 +391,8 @@ class Alignment {
         progress_.step(1);
     }
 
-    /// A few views may have found a place of their own that the others cannot talk them out of: the rest settles without them, and they start anew from where their neighbours are.
+    /// A few views may have found a place of their own that the others cannot talk them out of: the rest settles without them, and they start anew from where
+    /// their neighbours are.
     void move_strays() {
         std::vector<size_t> strays = silhouettes_.good();
         const size_t views = strays.size();
@@ -398,8 +412,8 @@ class Alignment {
         out_.aligned = judged();
     }
 
-    /// A hole within a silhouette moves no camera and pushes few contours, but carves: what all views but one keep, deep within what that one calls background, is a mistake
-    /// of that one.
+    /// A hole within a silhouette moves no camera and pushes few contours, but carves: what all views but one keep, deep within what that one calls background,
+    /// is a mistake of that one.
     void name_holes() {
         const std::vector<size_t>& seen = silhouettes_.seen();
         if (seen.size() < kLeastVoters || c_.rms_px() > 0.01 * silhouettes_.size_px()) return;
@@ -420,8 +434,10 @@ class Alignment {
         }
         if (holed.empty()) return;
         if (4 * holed.size() > seen.size()) {  // no mistake of single ones
-            out_.failures.push_back(text_of("%zu of %zu silhouettes each call background what nearly all others keep: %s. Remedy: is it one of these? Several rings or sittings (--rings, --sittings), masks of different objects, holes in most masks", holed.size(), seen.size(),
-                                            some_of(names_of(holed)).c_str()));
+            out_.failures.push_back(
+                text_of("%zu of %zu silhouettes each call background what nearly all others keep: %s. Remedy: is it one of these? Several rings or sittings "
+                        "(--rings, --sittings), masks of different objects, holes in most masks",
+                        holed.size(), seen.size(), some_of(names_of(holed)).c_str()));
             return;
         }
         for (size_t i : holed) silhouettes_.set_bad(i, true);
@@ -505,8 +521,8 @@ class Alignment {
     /// Does the object look the same after half a turn (or a third, a quarter)? Then a view could as well be another one.
     void find_symmetry() {
         if (!out_.angles_observable || o_.method != AlignMethod::Coherence) return;
-        // A sixth of the views, turned on and then aimed anew (the axis need not be the object's), before the silhouettes of all the others: do they fit there as well? They may not go
-        // away: what is far enough fits anywhere.
+        // A sixth of the views, turned on and then aimed anew (the axis need not be the object's), before the silhouettes of all the others: do they fit there
+        // as well? They may not go away: what is far enough fits anywhere.
         const std::vector<size_t> good = silhouettes_.good();
         std::vector<size_t> tried;
         const size_t count = std::min<size_t>(12, (good.size() + 5) / 6);
@@ -542,7 +558,8 @@ class Alignment {
 
     void describe() {
         // Residuals before: of the start that the photographer's word gives.
-        const OrbitModel start = o_.method == AlignMethod::Refine ? aligner_.given_cameras(world_from_given_) : aligner_.start(c_.orbit, c_.turn, aligner_.starts().front());
+        const OrbitModel start =
+            o_.method == AlignMethod::Refine ? aligner_.given_cameras(world_from_given_) : aligner_.start(c_.orbit, c_.turn, aligner_.starts().front());
         const std::vector<AlignedView> before = judge_.views_of(start, aligner_.coarse());
         for (size_t i = 0; i < before.size(); ++i) out_.aligned[i].residual_before_px = before[i].residual_px;
         const size_t first = silhouettes_.seen().front();
@@ -578,7 +595,8 @@ class Alignment {
         out_.views = with_cameras(given_, m);
         for (size_t i = 0; i < given_.views.size(); ++i)
             if (silhouettes_.bad(i)) out_.views.views[i].unused = "its silhouette contradicts the others'";
-            else if (o_.method != AlignMethod::Refine && std::find(silhouettes_.seen().begin(), silhouettes_.seen().end(), i) == silhouettes_.seen().end()) out_.views.views[i].unused = "it has no silhouette: its camera was not found";
+            else if (o_.method != AlignMethod::Refine && std::find(silhouettes_.seen().begin(), silhouettes_.seen().end(), i) == silhouettes_.seen().end())
+                out_.views.views[i].unused = "it has no silhouette: its camera was not found";
         if (!sitting_of_.empty()) set_sittings(out_.views, m, sitting_of_);
         const Similarity& to_ring = world_from_given_;
         if (o_.method == AlignMethod::Refine) {
@@ -610,35 +628,61 @@ class Alignment {
         // Cameras for which next to nothing was in the others' frames would fit anything. Of those that do not fit, the other findings are consequences.
         const bool fits = out_.rms_px <= allowed_px && !out_.touches_world.empty();
         if (!fits)
-            out_.failures.push_back(text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may; farthest those of %s. %s", out_.rms_px, allowed_px, some_of(worst_views()).c_str(), why_not().c_str()));
+            out_.failures.push_back(
+                text_of("the silhouettes do not fit together: contours stay %.2f px (rms) outside the hull of the other views, at most %.2f px may; farthest "
+                        "those of %s. %s",
+                        out_.rms_px, allowed_px, some_of(worst_views()).c_str(), why_not().c_str()));
         std::vector<size_t> bad = silhouettes_.seen();
         std::erase_if(bad, [&](size_t i) { return !silhouettes_.bad(i); });
         if (!bad.empty())
-            out_.warnings.push_back(text_of("%s: they contradict the others, so cameras were found without them and they are neither carved with nor coloured from: %s. Remedy: look at their masks", counted(bad.size(), "silhouette").c_str(), some_of(names_of(bad)).c_str()));
-        if (6 * bad.size() >= silhouettes_.seen().size() && bad.size() > 1) out_.failures.push_back(text_of("%zu of %zu silhouettes contradict the others: which ones are wrong cannot be told. Remedy: look at the masks; masks of one object, in the order in which it turned?", bad.size(), silhouettes_.seen().size()));
+            out_.warnings.push_back(
+                text_of("%s: they contradict the others, so cameras were found without them and they are neither carved with nor coloured from: %s. Remedy: "
+                        "look at their masks",
+                        counted(bad.size(), "silhouette").c_str(), some_of(names_of(bad)).c_str()));
+        if (6 * bad.size() >= silhouettes_.seen().size() && bad.size() > 1)
+            out_.failures.push_back(
+                text_of("%zu of %zu silhouettes contradict the others: which ones are wrong cannot be told. Remedy: look at the masks; masks of one object, in "
+                        "the order in which it turned?",
+                        bad.size(), silhouettes_.seen().size()));
         const bool few = silhouettes_.seen().size() < kFewViews;
         if (!out_.angles_observable && o_.method == AlignMethod::Refine)
-            out_.warnings.push_back(text_of("the silhouettes%s leave each view's angle open by %.1f degrees: the given cameras decide. Remedy: texture, or a marker mat", c_.fit.tracks ? " and the features" : "", out_.azimuth_spread_deg));
+            out_.warnings.push_back(
+                text_of("the silhouettes%s leave each view's angle open by %.1f degrees: the given cameras decide. Remedy: texture, or a marker mat",
+                        c_.fit.tracks ? " and the features" : "", out_.azimuth_spread_deg));
         else if (!out_.angles_observable && few && o_.orbit != Orbit::Turntable)
-            out_.failures.push_back(text_of("%s leave each view's angle open by %.1f degrees; whether the shape depends on them cannot be told by so few. Remedy: two dozen photographs, or --orbit turntable, where the object was turned by known steps", counted(silhouettes_.seen().size(), "silhouette").c_str(), out_.azimuth_spread_deg));
+            out_.failures.push_back(
+                text_of("%s leave each view's angle open by %.1f degrees; whether the shape depends on them cannot be told by so few. Remedy: two dozen "
+                        "photographs, or --orbit turntable, where the object was turned by known steps",
+                        counted(silhouettes_.seen().size(), "silhouette").c_str(), out_.azimuth_spread_deg));
         else if (!out_.angles_observable)
-            out_.warnings.push_back(text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles are kept. The shape does not depend on them, only the colours do. "
-                                            "Remedy: texture with --method refine, or a marker mat",
-                                            out_.azimuth_spread_deg, o_.angles_deg.empty() ? "even" : "given"));
-        else if (fits && mirrored_alike(c_))
-            undecided_direction();
+            out_.warnings.push_back(
+                text_of("the object looks the same from all around (or nearly): its silhouettes leave each view's angle open by %.1f degrees; the %s angles "
+                        "are kept. The shape does not depend on them, only the colours do. "
+                        "Remedy: texture with --method refine, or a marker mat",
+                        out_.azimuth_spread_deg, o_.angles_deg.empty() ? "even" : "given"));
+        else if (fits && mirrored_alike(c_)) undecided_direction();
         if (fits && out_.angles_observable && o_.method == AlignMethod::Coherence && c_.orbit != Orbit::Turntable) loose_views();
         if (out_.symmetry > 1)
-            out_.warnings.push_back(text_of("the object looks nearly the same after 1/%d of a turn: angles that are wrong by that much would not be noticed. The shape hardly depends on it, the colours do", out_.symmetry));
+            out_.warnings.push_back(
+                text_of("the object looks nearly the same after 1/%d of a turn: angles that are wrong by that much would not be noticed. The shape hardly "
+                        "depends on it, the colours do",
+                        out_.symmetry));
         if (few && o_.method == AlignMethod::Coherence && out_.failures.empty())
-            out_.warnings.push_back(text_of("%s are few to find cameras by: angles may be off by degrees. Remedy: two dozen photographs", counted(silhouettes_.seen().size(), "silhouette").c_str()));
+            out_.warnings.push_back(text_of("%s are few to find cameras by: angles may be off by degrees. Remedy: two dozen photographs",
+                                            counted(silhouettes_.seen().size(), "silhouette").c_str()));
         const double ln_focal = c_.fit.model.global(OrbitModel::LnFocal).value;
         if (fits && std::fabs(ln_focal) > kMostLnFocal && o_.method != AlignMethod::Paper)
-            out_.failures.push_back(text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov", out_.focal_px, out_.focal_start_px));
+            out_.failures.push_back(
+                text_of("the focal length ran away, to %.0f px (started from %.0f): the silhouettes do not say how strong perspective is. Remedy: --fov",
+                        out_.focal_px, out_.focal_start_px));
         else if (fits && aligner_.focal_known() && std::fabs(ln_focal) > 0.2 && o_.method != AlignMethod::Paper)
-            out_.warnings.push_back(text_of("the focal length given, %.0f px, is not what the silhouettes say: %.0f px is taken. Remedy: check --fov, or the camera file or EXIF that says it", out_.focal_start_px, out_.focal_px));
+            out_.warnings.push_back(
+                text_of("the focal length given, %.0f px, is not what the silhouettes say: %.0f px is taken. Remedy: check --fov, or the camera file or EXIF "
+                        "that says it",
+                        out_.focal_start_px, out_.focal_px));
         else if (out_.focal_spread > 0.05)
-            out_.warnings.push_back(text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out_.focal_spread));
+            out_.warnings.push_back(
+                text_of("the focal length is uncertain by %.0f %%: perspective is weak; the shape is hardly affected. Remedy: --fov", 100 * out_.focal_spread));
     }
 
     std::vector<std::string> worst_views() const {
@@ -657,8 +701,12 @@ class Alignment {
     /// What may be the matter where silhouettes do not fit together.
     std::string why_not() const {
         if (o_.method == AlignMethod::Paper) return "The paper's method rarely does better on an unsteady camera. Remedy: --method coherence";
-        if (o_.method == AlignMethod::Refine) return "The cameras given are too far from the truth, or masks and cameras do not belong together. Remedy: --cameras none --method coherence, where the views go around the object";
-        std::string out = "Remedy: is it one of these? Not one turn of the object at even steps (--angles, --arc), several rings or sittings (--rings, --sittings), masks of different objects, or an orbit too far from what was assumed (--orbit, --fov)";
+        if (o_.method == AlignMethod::Refine)
+            return "The cameras given are too far from the truth, or masks and cameras do not belong together. Remedy: --cameras none --method coherence, "
+                   "where the views go around the object";
+        std::string out =
+            "Remedy: is it one of these? Not one turn of the object at even steps (--angles, --arc), several rings or sittings (--rings, --sittings), masks of "
+            "different objects, or an orbit too far from what was assumed (--orbit, --fov)";
         if (o_.principal_point_px) out += text_of(", or --principal-point %g,%g", o_.principal_point_px->x(), o_.principal_point_px->y());
         if (o_.direction != Turn::Auto) out += text_of(", or it turned the other way than --direction %s says", name_of(o_.direction));
         return out;
@@ -676,18 +724,23 @@ class Alignment {
             loose.push_back(i);
         }
         if (!loose.empty())
-            out_.failures.push_back(text_of("the silhouettes leave the angles of %s open by up to %.0f degrees, and the shape depends on them: %s. Remedy: --orbit turntable, where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
-                                            "mat",
-                                            counted(loose.size(), "view").c_str(), widest, some_of(names_of(loose)).c_str()));
+            out_.failures.push_back(
+                text_of("the silhouettes leave the angles of %s open by up to %.0f degrees, and the shape depends on them: %s. Remedy: --orbit turntable, "
+                        "where the object was turned by known steps; cameras from elsewhere and --method refine; a marker "
+                        "mat",
+                        counted(loose.size(), "view").c_str(), widest, some_of(names_of(loose)).c_str()));
     }
 
     void undecided_direction() {
-        out_.failures.push_back(text_of("which way the object turned cannot be told from the silhouettes (%.2f px %s, %.2f px %s), and the wrong one gives its mirror image. Remedy: --direction cw or ccw (seen from above)", out_.rms_px,
-                                        name_of(c_.turn), out_.other_direction_px, name_of(c_.turn == Turn::Clockwise ? Turn::Counterclockwise : Turn::Clockwise)));
+        out_.failures.push_back(
+            text_of("which way the object turned cannot be told from the silhouettes (%.2f px %s, %.2f px %s), and the wrong one gives its mirror image. "
+                    "Remedy: --direction cw or ccw (seen from above)",
+                    out_.rms_px, name_of(c_.turn), out_.other_direction_px, name_of(c_.turn == Turn::Clockwise ? Turn::Counterclockwise : Turn::Clockwise)));
         const OrbitModel& m = c_.fit.model;
         for (const auto& [turn, other] : best_)
             if (turn != c_.turn && whole(other))
-                for (size_t i = 0; i < given_.views.size(); ++i) out_.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
+                for (size_t i = 0; i < given_.views.size(); ++i)
+                    out_.other_cameras.push_back(other.fit.model.camera(i).camera(m.view(i).width_px, m.view(i).height_px));
     }
 
     const Views& given_;
@@ -698,10 +751,10 @@ class Alignment {
     Silhouettes& silhouettes_;
     Judge judge_;
     Best best_;
-    Candidate c_;                    ///< the one that is believed
-    bool by_features_ = false;       ///< texture decided the direction
-    Similarity world_from_given_;    ///< of Refine
-    std::vector<int> sitting_of_;    ///< where there are several rings
+    Candidate c_;                  ///< the one that is believed
+    bool by_features_ = false;     ///< texture decided the direction
+    Similarity world_from_given_;  ///< of Refine
+    std::vector<int> sitting_of_;  ///< where there are several rings
     AlignResult out_;
 };
 

@@ -11,7 +11,8 @@ namespace vdbcarve {
 namespace {
 
 /// Places ring `r` of the joint model by a turn of its world around its outline's middle, onto the outline of the first.
-void place_ring(OrbitModel& m, size_t r, const std::vector<Group>& groups, const Mat3d& scene_from_ring, const Outline& scene, const Outline& ring, const OrbitModel& own) {
+void place_ring(OrbitModel& m, size_t r, const std::vector<Group>& groups, const Mat3d& scene_from_ring, const Outline& scene, const Outline& ring,
+                const OrbitModel& own) {
     const double scale = scene.radius / ring.radius;
     m.ring(r, OrbitModel::RingDistance).value = std::log(scale);
     m.ring(r, OrbitModel::RingHeight).value = scale * own.ring(0, OrbitModel::RingHeight).value;
@@ -41,7 +42,9 @@ std::vector<Group> groups_of(const AlignOptions& o, size_t views) {
     int sitting = 0;
     for (size_t end : ring_ends) {
         while (sitting_ends[static_cast<size_t>(sitting)] <= first) ++sitting;
-        if (end > sitting_ends[static_cast<size_t>(sitting)]) throw UsageError("--rings and --sittings: a ring goes over the end of sitting " + std::to_string(sitting) + ". Remedy: rings within each sitting, like --sittings 24,24 --rings 12,12,24");
+        if (end > sitting_ends[static_cast<size_t>(sitting)])
+            throw UsageError("--rings and --sittings: a ring goes over the end of sitting " + std::to_string(sitting) +
+                             ". Remedy: rings within each sitting, like --sittings 24,24 --rings 12,12,24");
         out.push_back({first, end - first, sitting});
         first = end;
     }
@@ -59,8 +62,8 @@ Outline outline_of(const CoherenceFit& f) {
     return out;
 }
 
-RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups, RingAligner& joint, std::vector<AlignRung>& rungs,
-                              std::vector<std::string>& failures, Progress& progress) {
+RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups,
+                              RingAligner& joint, std::vector<AlignRung>& rungs, std::vector<std::string>& failures, Progress& progress) {
     std::vector<RingAligner::Best> parts;
     std::vector<Candidate> leads;
     Turn direction = o.direction;
@@ -72,13 +75,15 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
         own.rings.clear();
         own.sittings.clear();
         own.direction = direction;
-        if (!o.angles_deg.empty()) own.angles_deg = {o.angles_deg.begin() + static_cast<long>(g.first), o.angles_deg.begin() + static_cast<long>(g.first + g.count)};
+        if (!o.angles_deg.empty())
+            own.angles_deg = {o.angles_deg.begin() + static_cast<long>(g.first), o.angles_deg.begin() + static_cast<long>(g.first + g.count)};
         RingAligner aligner(views, some, own, progress);
         std::vector<AlignRung> tried;
         parts.push_back(aligner.run(tried));
         leads.push_back(RingAligner::lead(parts.back()));
         if (leads.back().rms_px() > std::max(1.5, aligner.silhouettes().size_px() / 250))
-            failures.push_back(text_of("the ring of %s to %s does not fit together by itself (%.2f px)", views.views.front().name.c_str(), views.views.back().name.c_str(), leads.back().rms_px()));
+            failures.push_back(text_of("the ring of %s to %s does not fit together by itself (%.2f px)", views.views.front().name.c_str(),
+                                       views.views.back().name.c_str(), leads.back().rms_px()));
         direction = leads.back().turn;
     }
     // One model of all views: angles as found, everything else where it was.
@@ -98,13 +103,15 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
     for (size_t r = 0; r < groups.size(); ++r) {
         const OrbitModel& own = leads[r].fit.model;
         for (const auto which : {OrbitModel::LnFocal, OrbitModel::CentreX, OrbitModel::CentreY}) m.global(which).value += share * own.global(which).value;
-        for (const auto part : {OrbitModel::Elevation, OrbitModel::RingHeight, OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll}) m.ring(r, part).value = own.ring(0, part).value;
+        for (const auto part : {OrbitModel::Elevation, OrbitModel::RingHeight, OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll})
+            m.ring(r, part).value = own.ring(0, part).value;
         for (size_t k = 0; k < groups[r].count; ++k)
             for (int part = OrbitModel::Pan; part < OrbitModel::kViewParts; ++part) {
                 const auto p = static_cast<OrbitModel::ViewPart>(part);
                 m.of(groups[r].first + k, p).value = own.of(k, p).value;
                 if (all.orbit == Orbit::HandHeld && leads[r].orbit != Orbit::HandHeld)
-                    for (const auto& [shared, mine] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}})
+                    for (const auto& [shared, mine] :
+                         {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}})
                         if (p == mine) m.of(groups[r].first + k, p).value += own.ring(0, shared).value;
             }
         if (all.orbit == Orbit::HandHeld)
@@ -130,7 +137,8 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
         const auto mixed = [&](size_t looking, size_t asked, size_t count) {
             std::vector<ContourPoint> points = s.contour(pass.scale, count, 51);
             const Group& g = groups[looking];
-            std::erase_if(points, [&](const ContourPoint& p) { return static_cast<size_t>(p.view) < g.first || static_cast<size_t>(p.view) >= g.first + g.count; });
+            std::erase_if(points,
+                          [&](const ContourPoint& p) { return static_cast<size_t>(p.view) < g.first || static_cast<size_t>(p.view) >= g.first + g.count; });
             std::vector<CoherenceView> some = s.at_scale(pass.scale);
             for (size_t i = 0; i < some.size(); ++i)
                 if (i < groups[asked].first || i >= groups[asked].first + groups[asked].count) some[i].field = nullptr;
@@ -139,7 +147,8 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
         const size_t few = std::max<size_t>(2, 60 / groups[r].count);
         const auto [from_ring, first_views] = mixed(r, 0, few);
         const auto [from_first, ring_views] = mixed(0, r, std::max<size_t>(2, 60 / groups[0].count));
-        const auto score = [&, &from_ring = from_ring, &first_views = first_views, &from_first = from_first, &ring_views = ring_views](const OrbitModel& model) {
+        const auto score = [&, &from_ring = from_ring, &first_views = first_views, &from_first = from_first,
+                            &ring_views = ring_views](const OrbitModel& model) {
             const std::vector<OrbitCamera> cameras = model.cameras();
             double sum = 0;
             for (const auto& [points, some] : {std::pair{&from_ring, &first_views}, {&from_first, &ring_views}})
@@ -187,13 +196,15 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
             }
         }
         if (second < 1.3 * least + 0.05 * pass.scale)
-            failures.push_back(text_of("how the views from %s on lie to the first ones cannot be told: two ways fit alike (%.2f and %.2f px)", given.views[groups[r].first].name.c_str(), least, second));
+            failures.push_back(text_of("how the views from %s on lie to the first ones cannot be told: two ways fit alike (%.2f and %.2f px)",
+                                       given.views[groups[r].first].name.c_str(), least, second));
         for (int part = 0; part < OrbitModel::kRingParts; ++part) {
             const auto p = static_cast<OrbitModel::RingPart>(part);
             if (best.fit.model.views() > 0) m.ring(r, p).value = best.fit.model.ring(r, p).value;
         }
         if (best.fit.model.views() > 0)
-            for (size_t k = 0; k < groups[r].count; ++k) m.of(groups[r].first + k, OrbitModel::Height).value = best.fit.model.of(groups[r].first + k, OrbitModel::Height).value;
+            for (size_t k = 0; k < groups[r].count; ++k)
+                m.of(groups[r].first + k, OrbitModel::Height).value = best.fit.model.of(groups[r].first + k, OrbitModel::Height).value;
     }
     joint.free_parts(m, all.orbit);
     m.global(OrbitModel::LnArc).hold(0);

@@ -27,7 +27,7 @@ Outline outline_of(const CoherenceFit& f);
 
 /// Aligns each ring alone, finds how their worlds lie to each other by trying turns (about the axis within a sitting, all of them between sittings),
 /// then everything together.
-RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups, RingAligner& joint, std::vector<AlignRung>& rungs,
-                              std::vector<std::string>& failures, Progress& progress);
+RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups,
+                              RingAligner& joint, std::vector<AlignRung>& rungs, std::vector<std::string>& failures, Progress& progress);
 
 }  // namespace vdbcarve

@@ -41,7 +41,8 @@ struct Seen {
         Seen out;
         out.view = view;
         for (size_t k = 0; k < groups.size(); ++k)
-            if (keep(k)) out.groups.push_back(groups[k]), out.layout_m.push_back(layout_m[k]), out.world_m.push_back(world_m[k]), out.image_px.push_back(image_px[k]);
+            if (keep(k))
+                out.groups.push_back(groups[k]), out.layout_m.push_back(layout_m[k]), out.world_m.push_back(world_m[k]), out.image_px.push_back(image_px[k]);
         return out;
     }
 };
@@ -86,14 +87,17 @@ const LensRung kLensRungs[] = {{"focal length", kPinhole | cv::CALIB_FIX_PRINCIP
 
 class Calibrator {
   public:
-    Calibrator(const Views& views, const AlignOptions& o) : intrinsics_(views.views.front().camera.intrinsics), size_(intrinsics_.width_px, intrinsics_.height_px) {
+    Calibrator(const Views& views, const AlignOptions& o)
+        : intrinsics_(views.views.front().camera.intrinsics), size_(intrinsics_.width_px, intrinsics_.height_px) {
         focal_px_ = o.fov_deg > 0 ? 0.5 * size_.width / std::tan(o.fov_deg * std::numbers::pi / 360) : intrinsics_.fx > 0 ? intrinsics_.fx : 0;
         centre_ = o.principal_point_px.value_or(intrinsics_.fx > 0 ? Vec2d(intrinsics_.cx, intrinsics_.cy) : Vec2d(0.5 * size_.width, 0.5 * size_.height));
         centre_known_ = o.principal_point_px.has_value();
         calibrated_ = views.posed;
     }
     bool calibrated() const { return calibrated_; }
-    int flags_of(const LensRung& rung) const { return rung.fixed | cv::CALIB_USE_INTRINSIC_GUESS | (centre_known_ ? static_cast<int>(cv::CALIB_FIX_PRINCIPAL_POINT) : 0); }
+    int flags_of(const LensRung& rung) const {
+        return rung.fixed | cv::CALIB_USE_INTRINSIC_GUESS | (centre_known_ ? static_cast<int>(cv::CALIB_FIX_PRINCIPAL_POINT) : 0);
+    }
 
     /// All views together.
     Calibration fit(const std::vector<Seen>& seen, const LensRung& rung) const {
@@ -114,8 +118,11 @@ class Calibrator {
                 const double found = cv::initCameraMatrix2D(world, image, size_, 1).at<double>(0, 0);
                 if (std::isfinite(found) && found > 0.2 * size_.width && found < 50 * size_.width) out.k.at<double>(0, 0) = out.k.at<double>(1, 1) = found;
             }
-            const double found = cv::calibrateCamera(world, image, size_, out.k, out.distortion, out.rvecs, out.tvecs, sd, unused, errors, flags_of(rung), {cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-10});
-            if (!std::isfinite(found)) throw UndeterminedError("--method mat: the camera cannot be calibrated from these views of the mat. Remedy: --fov, and views from several heights");
+            const double found = cv::calibrateCamera(world, image, size_, out.k, out.distortion, out.rvecs, out.tvecs, sd, unused, errors, flags_of(rung),
+                                                     {cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-10});
+            if (!std::isfinite(found))
+                throw UndeterminedError(
+                    "--method mat: the camera cannot be calibrated from these views of the mat. Remedy: --fov, and views from several heights");
             out.focal_sd_px = std::max(sd.at<double>(0), sd.at<double>(1));  // one of them is tied to the other
         }
         // A plane seen from afar has two places that look almost alike: the better one, for every view.
@@ -152,9 +159,9 @@ void set_print(std::vector<Seen>& seen, const Print& print) {
             if (const auto at = print.find({s.layout_m[k].x, s.layout_m[k].y}); at != print.end()) s.world_m[k] = at->second;
 }
 
-/// Calibration by Gauss and Newton's method on everything together, poses and lens, and, where `print` is given, on where the corners really are: printers stretch paper, and paper
-/// is not flat (Strobl and Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", ICCV workshops 2011). Corners are held near the layout
-/// by priors, which keep the world's place and size.
+/// Calibration by Gauss and Newton's method on everything together, poses and lens, and, where `print` is given, on where the corners really are: printers
+/// stretch paper, and paper is not flat (Strobl and Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", ICCV workshops 2011).
+/// Corners are held near the layout by priors, which keep the world's place and size.
 void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_flags, Print* print) {
     constexpr double kCorner_px = 0.3, kInPlane_m = 0.001, kOffPlane_m = 0.005;
     std::map<std::pair<float, float>, int> corner_of;
@@ -194,7 +201,9 @@ void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_fla
                 cost += weight * (dx * dx + dy * dy);
                 std::vector<int> at;
                 std::vector<Vec2d> by;
-                const auto column = [&](int from) { return Vec2d(jacobian.at<double>(static_cast<int>(2 * k), from), jacobian.at<double>(static_cast<int>(2 * k + 1), from)); };
+                const auto column = [&](int from) {
+                    return Vec2d(jacobian.at<double>(static_cast<int>(2 * k), from), jacobian.at<double>(static_cast<int>(2 * k + 1), from));
+                };
                 for (int q = 0; q < 6; ++q) at.push_back(static_cast<int>(6 * i) + q), by.push_back(column(q));
                 for (int q = 0; q < lens; ++q) {
                     const int which = free_lens[static_cast<size_t>(q)];
@@ -233,7 +242,8 @@ void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_fla
             const bool settled = cost > (1 - 1e-5) * last && iteration > 4;
             last = cost, best_h = h, best_g = g;
             if (lens > 0) {
-                const double freedom = std::max(1.0, observations - size), variance = h.ldlt().solve(Eigen::VectorXd::Unit(size, poses))[poses] * std::max(1.0, cost / freedom);
+                const double freedom = std::max(1.0, observations - size),
+                             variance = h.ldlt().solve(Eigen::VectorXd::Unit(size, poses))[poses] * std::max(1.0, cost / freedom);
                 c.focal_sd_px = variance > 0 ? std::sqrt(variance) : 0;
             }
             best = c.copy();
@@ -287,7 +297,10 @@ Image8 picture_of(const Views& views, const std::vector<Seen>& seen, const Calib
         std::vector<cv::Point2f> projected;
         cv::projectPoints(seen[i].world_m, c.rvecs[i], c.tvecs[i], c.k, c.distortion, projected);
         constexpr int kShift = 4;  // fractions of a pixel
-        const auto at = [&](const cv::Point2f& p) { return cv::Point(static_cast<int>(std::lround((p.x * scale - 0.5) * (1 << kShift))), static_cast<int>(std::lround((p.y * scale - 0.5) * (1 << kShift)))); };
+        const auto at = [&](const cv::Point2f& p) {
+            return cv::Point(static_cast<int>(std::lround((p.x * scale - 0.5) * (1 << kShift))),
+                             static_cast<int>(std::lround((p.y * scale - 0.5) * (1 << kShift))));
+        };
         for (size_t k = 0; k < projected.size(); ++k) {
             cv::circle(tile, at(seen[i].image_px[k]), 3 << kShift, {0, 200, 0}, 1, cv::LINE_AA, kShift);
             cv::line(tile, at(seen[i].image_px[k]), at(projected[k]), {255, 0, 0}, 1, cv::LINE_AA, kShift);
@@ -297,14 +310,16 @@ Image8 picture_of(const Views& views, const std::vector<Seen>& seen, const Calib
         cv::projectPoints(std::vector<cv::Point3f>{{0, 0, 0}, {length, 0, 0}, {0, length, 0}, {0, 0, length}}, c.rvecs[i], c.tvecs[i], c.k, c.distortion, axes);
         const cv::Scalar colours[] = {{255, 0, 0}, {0, 200, 0}, {60, 60, 255}};
         for (int a = 0; a < 3; ++a) cv::line(tile, at(axes[0]), at(axes[static_cast<size_t>(a) + 1]), colours[a], 2, cv::LINE_AA, kShift);
-        cv::putText(tile, views.views[seen[i].view].name + text_of("  %.2f px", errors_px[i]), {8, 20}, cv::FONT_HERSHEY_SIMPLEX, 0.5, {255, 255, 0}, 1, cv::LINE_AA);
+        cv::putText(tile, views.views[seen[i].view].name + text_of("  %.2f px", errors_px[i]), {8, 20}, cv::FONT_HERSHEY_SIMPLEX, 0.5, {255, 255, 0}, 1,
+                    cv::LINE_AA);
         tiles.push_back(tile);
     }
     int rows = 0, height = 0;
     for (const cv::Mat& t : tiles) height = std::max(height, t.rows);
     rows = (static_cast<int>(tiles.size()) + 1) / 2;
     cv::Mat sheet(rows * height, 2 * kWidth, CV_8UC3, cv::Scalar(0, 0, 0));
-    for (size_t t = 0; t < tiles.size(); ++t) tiles[t].copyTo(sheet({static_cast<int>(t % 2) * kWidth, static_cast<int>(t / 2) * height, tiles[t].cols, tiles[t].rows}));
+    for (size_t t = 0; t < tiles.size(); ++t)
+        tiles[t].copyTo(sheet({static_cast<int>(t % 2) * kWidth, static_cast<int>(t / 2) * height, tiles[t].cols, tiles[t].rows}));
     return io::unwrap(sheet);
 }
 
@@ -315,18 +330,22 @@ namespace {
 AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& progress) {
     const MatLayout& mat = *o.mat;
     const double metres = o.units.empty() ? 1 : metres_per(o.units).value_or(0);
-    if (metres == 0) throw UsageError("--units " + o.units + ": a mat is measured in metres; what those are in this unit is not known. Remedy: m, cm, mm, inch");
+    if (metres == 0)
+        throw UsageError("--units " + o.units + ": a mat is measured in metres; what those are in this unit is not known. Remedy: m, cm, mm, inch");
     progress.begin("align", static_cast<int>(given.views.size()) + 3);
     // ---------------------------------------------------------------------------------- corners
     std::vector<Seen> all(given.views.size());
     for (const View& v : given.views) {
         if (v.image_path.empty()) throw InputError("--method mat: view " + v.name + " has no photograph to find the mat in");
         const Intrinsics &k = v.camera.intrinsics, &first = given.views.front().camera.intrinsics;
-        if (given.posed && (k.orthographic || k.skew != 0 || std::fabs(k.fx - first.fx) > 1e-6 * first.fx || std::fabs(k.fy - first.fy) > 1e-6 * first.fy || std::fabs(k.cx - first.cx) > 1e-3 || std::fabs(k.cy - first.cy) > 1e-3))
-            throw InputError("--method mat: the camera file's lens of view " + v.name + " is not that of " + given.views.front().name + ", or is skewed or parallel: one camera at one focus is wanted. Remedy: --cameras none, the lens is then found");
+        if (given.posed && (k.orthographic || k.skew != 0 || std::fabs(k.fx - first.fx) > 1e-6 * first.fx || std::fabs(k.fy - first.fy) > 1e-6 * first.fy ||
+                            std::fabs(k.cx - first.cx) > 1e-3 || std::fabs(k.cy - first.cy) > 1e-3))
+            throw InputError("--method mat: the camera file's lens of view " + v.name + " is not that of " + given.views.front().name +
+                             ", or is skewed or parallel: one camera at one focus is wanted. Remedy: --cameras none, the lens is then found");
         if (!given.posed && (k.width_px != first.width_px || k.height_px != first.height_px))
-            throw InputError(text_of("--method mat: %s has %d x %d pixels and %s %d x %d: one camera at one focus, held one way, is calibrated. Remedy: sort them into one run each", v.name.c_str(), k.width_px, k.height_px,
-                                     given.views.front().name.c_str(), first.width_px, first.height_px));
+            throw InputError(text_of(
+                "--method mat: %s has %d x %d pixels and %s %d x %d: one camera at one focus, held one way, is calibrated. Remedy: sort them into one run each",
+                v.name.c_str(), k.width_px, k.height_px, given.views.front().name.c_str(), first.width_px, first.height_px));
     }
     tbb::parallel_for(size_t{0}, given.views.size(), [&](size_t i) {
         progress.check();
@@ -353,17 +372,23 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
         if (s.groups.size() < kLeastCorners) return false;
         // Not all on a line, or nearly so.
         cv::Mat points(static_cast<int>(s.world_m.size()), 2, CV_32F);
-        for (size_t k = 0; k < s.world_m.size(); ++k) points.at<float>(static_cast<int>(k), 0) = s.world_m[k].x, points.at<float>(static_cast<int>(k), 1) = s.world_m[k].y;
+        for (size_t k = 0; k < s.world_m.size(); ++k)
+            points.at<float>(static_cast<int>(k), 0) = s.world_m[k].x, points.at<float>(static_cast<int>(k), 1) = s.world_m[k].y;
         const cv::PCA axes(points, cv::noArray(), cv::PCA::DATA_AS_ROW);
         return axes.eigenvalues.at<float>(1) > 0.003F * axes.eigenvalues.at<float>(0);
     };
     for (const Seen& s : all)
         if (enough(s)) seen.push_back(s);
     if (seen.size() < 4)
-        throw InputError(text_of("--method mat: the mat (%d x %d, %s) is seen in %zu of %zu views; at least 4 are needed. Remedy: check --mat against the print (the layout file beside it says it): dictionary, columns, rows; sharper photographs, more of the mat in frame", mat.columns,
-                                 mat.rows, mat.dictionary.c_str(), seen.size(), given.views.size()));
+        throw InputError(
+            text_of("--method mat: the mat (%d x %d, %s) is seen in %zu of %zu views; at least 4 are needed. Remedy: check --mat against the print (the layout "
+                    "file beside it says it): dictionary, columns, rows; sharper photographs, more of the mat in frame",
+                    mat.columns, mat.rows, mat.dictionary.c_str(), seen.size(), given.views.size()));
     const Calibrator calibrator(given, o);
-    if (calibrator.calibrated() && (o.fov_deg > 0 || o.principal_point_px)) throw UsageError("--method mat: the cameras given say lens and principal point: --fov and --principal-point would say it again. Remedy: --cameras none, or without them");
+    if (calibrator.calibrated() && (o.fov_deg > 0 || o.principal_point_px))
+        throw UsageError(
+            "--method mat: the cameras given say lens and principal point: --fov and --principal-point would say it again. Remedy: --cameras none, or without "
+            "them");
     // ---------------------------------------------------------------------------------- lens
     const LensRung* rung = &kLensRungs[0];
     if (!calibrator.calibrated()) {
@@ -381,8 +406,9 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
             for (size_t i = 0; i < held.size(); ++i)
                 for (double e : errors_of(c, i, held[i])) errors.push_back(e);
             const double found = percentile(errors, 0.8);
-            progress.detail(text_of("lens: %s: held-out corners within %.3f px (80 %%), f %.1f +- %.1f, centre %.1f %.1f, k1 %.4f k2 %.4f", r.name, found, c.k.at<double>(0, 0), c.focal_sd_px, c.k.at<double>(0, 2), c.k.at<double>(1, 2),
-                                    c.distortion.at<double>(0), c.distortion.at<double>(1)));
+            progress.detail(text_of("lens: %s: held-out corners within %.3f px (80 %%), f %.1f +- %.1f, centre %.1f %.1f, k1 %.4f k2 %.4f", r.name, found,
+                                    c.k.at<double>(0, 0), c.focal_sd_px, c.k.at<double>(0, 2), c.k.at<double>(1, 2), c.distortion.at<double>(0),
+                                    c.distortion.at<double>(1)));
             if (found < 0.95 * least - 0.002) least = found, rung = &r;
         }
     }
@@ -510,20 +536,36 @@ AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& pr
     out.principal_x_px = k.cx, out.principal_y_px = k.cy;
     out.picture_name = "mat";
     out.picture = picture_of(given, seen, c, errors_px);
-    if (!out.left_out.empty()) out.warnings.push_back(text_of("%s left out, the mat is not seen well enough: %s", counted(out.left_out.size(), "view").c_str(), some_of(out.left_out).c_str()));
+    if (!out.left_out.empty())
+        out.warnings.push_back(
+            text_of("%s left out, the mat is not seen well enough: %s", counted(out.left_out.size(), "view").c_str(), some_of(out.left_out).c_str()));
     const bool another_mat = print_stretched_m > kMostStretch * mat.marker_m;
     if (print_off_m > 0 && !another_mat)
-        out.warnings.push_back(text_of("the print is not quite the mat that --mat says: its corners are %.2f mm (rms) from where they should be, all views agree. That was allowed for, and the scale is that of the layout as a whole. Remedy: measure the print "
-                                       "(and print at 100 %%, on stiff paper)",
-                                       1e3 * print_off_m));
+        out.warnings.push_back(
+            text_of("the print is not quite the mat that --mat says: its corners are %.2f mm (rms) from where they should be, all views agree. That was "
+                    "allowed for, and the scale is that of the layout as a whole. Remedy: measure the print "
+                    "(and print at 100 %%, on stiff paper)",
+                    1e3 * print_off_m));
     const double allowed = std::max(2.0, k.width_px / 500.0);
     if (another_mat)
-        out.failures.push_back(text_of("the corners of the print lie %.2f mm (rms) from where --mat says, within the sheet: no printer does that to markers of %.1f mm. Remedy: measure a marker and a gap (or square), and give --mat what you measured", 1e3 * print_stretched_m, 1e3 * mat.marker_m));
-    else if (out.rms_px > allowed) out.failures.push_back(text_of("the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: another mat than --mat says (the sizes of markers and gaps, columns, rows), a mat that is not flat, or a zoom or focus that changed. Remedy: check --mat; mat.png shows what was found where", out.rms_px, allowed));
+        out.failures.push_back(
+            text_of("the corners of the print lie %.2f mm (rms) from where --mat says, within the sheet: no printer does that to markers of %.1f mm. Remedy: "
+                    "measure a marker and a gap (or square), and give --mat what you measured",
+                    1e3 * print_stretched_m, 1e3 * mat.marker_m));
+    else if (out.rms_px > allowed)
+        out.failures.push_back(text_of(
+            "the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: another mat than --mat says (the sizes of markers "
+            "and gaps, columns, rows), a mat that is not flat, or a zoom or focus that changed. Remedy: check --mat; mat.png shows what was found where",
+            out.rms_px, allowed));
     if (c.focal_sd_px > 0.02 * k.fx)
-        out.warnings.push_back(text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px); the mat was seen from %.0f to %.0f degrees of elevation. Remedy: a few views from higher and lower", 100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px,
-                                       *std::min_element(elevations.begin(), elevations.end()), *std::max_element(elevations.begin(), elevations.end())));
-    if (c.focal_sd_px > 0.15 * k.fx) out.failures.push_back(text_of("the mat does not say what the focal length is (%.0f +- %.0f px). Remedy: views from higher and lower", k.fx, c.focal_sd_px));
+        out.warnings.push_back(
+            text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px); the mat was seen from %.0f to %.0f degrees of elevation. Remedy: a few views "
+                    "from higher and lower",
+                    100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px, *std::min_element(elevations.begin(), elevations.end()),
+                    *std::max_element(elevations.begin(), elevations.end())));
+    if (c.focal_sd_px > 0.15 * k.fx)
+        out.failures.push_back(
+            text_of("the mat does not say what the focal length is (%.0f +- %.0f px). Remedy: views from higher and lower", k.fx, c.focal_sd_px));
     progress.step(1);
     return out;
 }
@@ -534,7 +576,8 @@ AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& pr
     try {
         return find_cameras(given, o, progress);
     } catch (const cv::Exception& e) {
-        throw UndeterminedError(std::string("--method mat: the views of the mat do not determine a camera: ") + e.what() + ". Remedy: more views, from several heights");
+        throw UndeterminedError(std::string("--method mat: the views of the mat do not determine a camera: ") + e.what() +
+                                ". Remedy: more views, from several heights");
     }
 }
 

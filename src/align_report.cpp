@@ -10,20 +10,28 @@ namespace vdbcarve {
 
 const char* name_of(Orbit orbit) {
     switch (orbit) {
-        case Orbit::Auto: return "auto";
-        case Orbit::Turntable: return "turntable";
-        case Orbit::FixedCamera: return "fixed-camera";
-        case Orbit::HandHeld: return "hand-held";
+        case Orbit::Auto:
+            return "auto";
+        case Orbit::Turntable:
+            return "turntable";
+        case Orbit::FixedCamera:
+            return "fixed-camera";
+        case Orbit::HandHeld:
+            return "hand-held";
     }
     return "";
 }
 const char* name_of(Turn turn) { return turn == Turn::Auto ? "auto" : turn == Turn::Clockwise ? "cw" : "ccw"; }
 const char* name_of(AlignMethod method) {
     switch (method) {
-        case AlignMethod::Coherence: return "coherence";
-        case AlignMethod::Refine: return "refine";
-        case AlignMethod::Mat: return "mat";
-        case AlignMethod::Paper: return "paper";
+        case AlignMethod::Coherence:
+            return "coherence";
+        case AlignMethod::Refine:
+            return "refine";
+        case AlignMethod::Mat:
+            return "mat";
+        case AlignMethod::Paper:
+            return "paper";
     }
     return "";
 }
@@ -53,7 +61,11 @@ std::string alignment_json(const AlignResult& r) {
              {"verified", r.failures.empty()},
              {"failures", r.failures}};
     for (const AlignRung& g : r.rungs)
-        out["rungs"].push_back({{"orbit", name_of(g.orbit)}, {"direction", name_of(g.direction)}, {"residual_rms_px", g.rms_px}, {"held_out_px", g.held_out_px}, {"unknowns", g.unknowns}});
+        out["rungs"].push_back({{"orbit", name_of(g.orbit)},
+                                {"direction", name_of(g.direction)},
+                                {"residual_rms_px", g.rms_px},
+                                {"held_out_px", g.held_out_px},
+                                {"unknowns", g.unknowns}});
     for (const AlignedView& v : r.aligned)
         out["views"].push_back({{"name", v.name},
                                 {"residual_before_px", v.residual_before_px},
@@ -77,7 +89,8 @@ std::string orbit_svg(const AlignResult& r) {
     const auto y = [&](double world) { return kMiddle - kScale * world / reach; };
     std::ostringstream s;
     s.precision(5);
-    s << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 600 640\" font-family=\"sans-serif\" font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n";
+    s << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 600 640\" font-family=\"sans-serif\" font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" "
+         "fill=\"white\"/>\n";
     s << "<circle cx=\"300\" cy=\"300\" r=\"240\" fill=\"none\" stroke=\"#ddd\"/>\n";
     for (const auto& t : r.touches_world) s << "<circle cx=\"" << x(t[0]) << "\" cy=\"" << y(t[1]) << "\" r=\"0.8\" fill=\"#888\"/>\n";
     double worst = 1e-9;
@@ -86,13 +99,18 @@ std::string orbit_svg(const AlignResult& r) {
         const Vec3d c = cameras[i].centre_world(), f = cameras[i].forward_world();
         // Green fits, red does not.
         const double share = std::clamp(r.aligned[i].residual_px / std::max(worst, 1.0), 0.0, 1.0);
-        s << "<g stroke=\"" << (r.aligned[i].bad ? "#000" : "rgb(" + std::to_string(static_cast<int>(40 + 200 * share)) + "," + std::to_string(static_cast<int>(150 - 110 * share)) + ",60)") << "\"><line x1=\"" << x(c.x()) << "\" y1=\"" << y(c.y())
-          << "\" x2=\"" << x(c.x() + 0.1 * reach * f.x()) << "\" y2=\"" << y(c.y() + 0.1 * reach * f.y()) << "\"/><circle cx=\"" << x(c.x()) << "\" cy=\"" << y(c.y()) << "\" r=\"3\"/></g>";
+        s << "<g stroke=\""
+          << (r.aligned[i].bad
+                  ? "#000"
+                  : "rgb(" + std::to_string(static_cast<int>(40 + 200 * share)) + "," + std::to_string(static_cast<int>(150 - 110 * share)) + ",60)")
+          << "\"><line x1=\"" << x(c.x()) << "\" y1=\"" << y(c.y()) << "\" x2=\"" << x(c.x() + 0.1 * reach * f.x()) << "\" y2=\""
+          << y(c.y() + 0.1 * reach * f.y()) << "\"/><circle cx=\"" << x(c.x()) << "\" cy=\"" << y(c.y()) << "\" r=\"3\"/></g>";
         if (cameras.size() <= 60 || i % (cameras.size() / 30) == 0)
             s << "<text x=\"" << x(1.08 * c.x()) << "\" y=\"" << y(1.08 * c.y()) + 4 << "\" text-anchor=\"middle\">" << i << "</text>";
         s << "\n";
     }
-    s << "<text x=\"20\" y=\"620\">From above: cameras by number, the object's outline (grey). Green fits, red strays up to " << worst << " px, black contradicts the others.</text>\n</svg>\n";
+    s << "<text x=\"20\" y=\"620\">From above: cameras by number, the object's outline (grey). Green fits, red strays up to " << worst
+      << " px, black contradicts the others.</text>\n</svg>\n";
     return s.str();
 }
 

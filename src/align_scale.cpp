@@ -29,7 +29,10 @@ double seen_length(const AlignResult& r, const std::vector<Camera>& cameras, con
         const Camera::Ray ray = camera.ray(pixel);
         openvdb::Vec3d hit;
         const Intersector::RayType sight({ray.origin.x(), ray.origin.y(), ray.origin.z()}, {ray.direction.x(), ray.direction.y(), ray.direction.z()});
-        if (!intersector.intersectsWS(sight, hit)) throw InputError(text_of("--known-length: pixel %g, %g of %s does not show the object as the cameras found have it. Remedy: places farther within the silhouette", pixel.x(), pixel.y(), known.view.c_str()));
+        if (!intersector.intersectsWS(sight, hit))
+            throw InputError(text_of(
+                "--known-length: pixel %g, %g of %s does not show the object as the cameras found have it. Remedy: places farther within the silhouette",
+                pixel.x(), pixel.y(), known.view.c_str()));
         places[k] = {hit.x(), hit.y(), hit.z()};
     }
     const double length = (places[1] - places[0]).norm();
@@ -52,9 +55,11 @@ void check_known_length(const Views& views, const std::vector<MaskView>& masks, 
     const int width = mask.empty() ? k.width_px : mask.width, height = mask.empty() ? k.height_px : mask.height;
     for (const Vec2d& p : {known.from_px, known.to_px}) {
         if (!(p.x() >= 0 && p.y() >= 0 && p.x() < width && p.y() < height))
-            throw UsageError(text_of("--known-length: pixel %g, %g is outside of %s, which has %d x %d pixels. Remedy: two places within its silhouette", p.x(), p.y(), known.view.c_str(), width, height));
+            throw UsageError(text_of("--known-length: pixel %g, %g is outside of %s, which has %d x %d pixels. Remedy: two places within its silhouette", p.x(),
+                                     p.y(), known.view.c_str(), width, height));
         if (!mask.empty() && !kernel::is_object(mask.at(static_cast<int>(p.x()), static_cast<int>(p.y()))))
-            throw InputError(text_of("--known-length: pixel %g, %g of %s is background in its mask. Remedy: two places within the silhouette", p.x(), p.y(), known.view.c_str()));
+            throw InputError(text_of("--known-length: pixel %g, %g of %s is background in its mask. Remedy: two places within the silhouette", p.x(), p.y(),
+                                     known.view.c_str()));
     }
     if (known.from_px == known.to_px) throw UsageError("--known-length: both pixels of " + known.view + " are the same. Remedy: two places of the object");
 }
@@ -76,7 +81,9 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
         Progress quiet;
         const openvdb::FloatGrid::Ptr hull = coarse_hull(r.views.names(), cameras, trusted, 256, 0.6, quiet);
         const SeenExtent seen = seen_extent(*hull, cameras, trusted, up_direction(r.views.up, cameras));
-        if (!seen.top_seen || !seen.bottom_seen) throw UndeterminedError("--known-height: every silhouette is cut by its frame above or below, so how high the object is was not seen. Remedy: --known-distance");
+        if (!seen.top_seen || !seen.bottom_seen)
+            throw UndeterminedError(
+                "--known-height: every silhouette is cut by its frame above or below, so how high the object is was not seen. Remedy: --known-distance");
         scale = o.known_height / (seen.highest - seen.lowest);
     } else if (o.known_length) {
         scale = o.known_length->length / seen_length(r, cameras, trusted_masks(r, masks), *o.known_length);
@@ -92,7 +99,8 @@ void apply_scale(AlignResult& r, const std::vector<MaskView>& masks, const Align
     for (auto& t : r.touches_world)
         for (float& x : t) x = static_cast<float>(x * scale);
     const std::string& units = r.views.units;
-    progress.note(text_of("scale: one camera distance is %.6g%s%s", scale, units.empty() ? ", of the unit of the length given; which one it is was not said (--units)" : " ", units.c_str()));
+    progress.note(text_of("scale: one camera distance is %.6g%s%s", scale,
+                          units.empty() ? ", of the unit of the length given; which one it is was not said (--units)" : " ", units.c_str()));
 }
 
 }  // namespace vdbcarve

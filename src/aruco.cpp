@@ -32,7 +32,8 @@ const Named* named(const std::string& name) {
         std::map<std::string, Named> out;
         int number = 0;
         for (const int bits : {4, 5, 6, 7})
-            for (const int size : {50, 100, 250, 1000}) out[std::to_string(bits) + "X" + std::to_string(bits) + "_" + std::to_string(size)] = {number++, size, bits};
+            for (const int size : {50, 100, 250, 1000})
+                out[std::to_string(bits) + "X" + std::to_string(bits) + "_" + std::to_string(size)] = {number++, size, bits};
         return out;
     }();
     const auto found = all.find(name);
@@ -48,7 +49,8 @@ double sample(ImageView<uint8_t> grey, const Vec2d& at) {
 }
 
 /// Corners of a marker's black square where lines through its sides meet. (Refinement by gradients is drawn inwards at such corners by 0.2 px, and
-/// takes a neighbour's corner where the gap is narrow; OpenCV's AprilTag refinement is off by 0.1 px.) `reach`: how far from the sides nothing but their edge is, in sides.
+/// takes a neighbour's corner where the gap is narrow; OpenCV's AprilTag refinement is off by 0.1 px.) `reach`: how far from the sides nothing but their edge
+/// is, in sides.
 std::array<Vec2d, 4> refined(ImageView<uint8_t> grey, const std::array<Vec2d, 4>& corners, double reach) {
     struct Line {
         Vec2d point = Vec2d::Zero(), normal = Vec2d::Zero();
@@ -102,8 +104,8 @@ std::array<Vec2d, 4> refined(ImageView<uint8_t> grey, const std::array<Vec2d, 4>
     return result;
 }
 
-/// From the detectors' pixels to ours: quadrilaterals are counted from the first pixel's centre, the chessboard's corners from its corner. Measured on drawn mats
-/// (Board.CornersAreFoundWhereTheyAre).
+/// From the detectors' pixels to ours: quadrilaterals are counted from the first pixel's centre, the chessboard's corners from its corner. Measured on drawn
+/// mats (Board.CornersAreFoundWhereTheyAre).
 constexpr double kQuadShift_px = 0.5, kCharucoShift_px = 0;
 
 }  // namespace
@@ -162,7 +164,8 @@ std::vector<MatCorner> find_mat(const MatLayout& mat, ImageView<uint8_t> grey) {
     for (int k = 0; k < static_cast<int>(numbers.total()); ++k) {
         const int id = numbers.at<int>(k);
         const cv::Point2f at = corners.at<cv::Point2f>(k);
-        out.push_back({id, mat.step_m * Vec2d(id % (mat.columns - 1) + 1, id / (mat.columns - 1) + 1), Vec2d(at.x + kCharucoShift_px, at.y + kCharucoShift_px)});
+        out.push_back(
+            {id, mat.step_m * Vec2d(id % (mat.columns - 1) + 1, id / (mat.columns - 1) + 1), Vec2d(at.x + kCharucoShift_px, at.y + kCharucoShift_px)});
     }
     return out;
 }

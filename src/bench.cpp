@@ -34,9 +34,7 @@ DenseRows dense_rows_avx2();
 DenseRows dense_rows_avx512();
 #endif
 
-namespace {
-
-}  // namespace
+namespace {}  // namespace
 
 BenchScene bench_spheres(int views) {
     struct Ball {
@@ -75,7 +73,8 @@ BenchScene bench_spheres(int views) {
         std::vector<uint16_t> count(mask.pixels(), 0);
         const auto covered = [&](double u, double w) {
             const Camera::Ray ray = camera.ray({u, w});
-            return std::any_of(balls.begin(), balls.end(), [&](const Ball& b) { return (b.centre - ray.origin).cross(ray.direction).squaredNorm() < b.radius * b.radius; });
+            return std::any_of(balls.begin(), balls.end(),
+                               [&](const Ball& b) { return (b.centre - ray.origin).cross(ray.direction).squaredNorm() < b.radius * b.radius; });
         };
         std::vector<char> corner(static_cast<size_t>((k.width_px + 1) * (k.height_px + 1)));
         for (int y = 0; y <= k.height_px; ++y)
@@ -133,7 +132,8 @@ std::vector<std::array<float, 12>> matrices_of(const BenchScene& scene, const Ca
         const double k[9] = {view.fx, view.skew, view.cx, 0, view.fy, view.cy, 0, 0, 1};
         for (size_t r = 0; r < 3; ++r)
             for (size_t c = 0; c < 4; ++c)
-                out[v][4 * r + c] = static_cast<float>(k[3 * r] * view.camera_from_index[c] + k[3 * r + 1] * view.camera_from_index[4 + c] + k[3 * r + 2] * view.camera_from_index[8 + c]);
+                out[v][4 * r + c] = static_cast<float>(k[3 * r] * view.camera_from_index[c] + k[3 * r + 1] * view.camera_from_index[4 + c] +
+                                                       k[3 * r + 2] * view.camera_from_index[8 + c]);
     }
     return out;
 }
@@ -174,7 +174,8 @@ double wall_ms(const std::function<void()>& work) {
     return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 }
 
-BenchDevice bench_device(const BenchScene& scene, const std::vector<MaskView>& masks, const std::vector<Image8>& binary, const CarveOptions& o, const BenchCase& c, const BenchOptions& options, DevicePipeline& device) {
+BenchDevice bench_device(const BenchScene& scene, const std::vector<MaskView>& masks, const std::vector<Image8>& binary, const CarveOptions& o,
+                         const BenchCase& c, const BenchOptions& options, DevicePipeline& device) {
     Progress quiet;
     std::vector<CarveInput> inputs;
     for (size_t i = 0; i < scene.cameras.size(); ++i) inputs.push_back({std::to_string(i), scene.cameras[i], nullptr});
@@ -201,10 +202,10 @@ BenchDevice bench_device(const BenchScene& scene, const std::vector<MaskView>& m
         double to_mesh = 0, from_device = 0;
         if (options.stages) {
             to_mesh = to_hull + wall_ms([&] {
-                device.level_set({});
-                device.extract_mesh(false);
-                device.wait();
-            });
+                          device.level_set({});
+                          device.extract_mesh(false);
+                          device.wait();
+                      });
         }
         const auto times = device.milliseconds();
         device.clear_times();
@@ -278,8 +279,8 @@ std::string cpu_name() {
 }  // namespace
 
 std::vector<BenchCase> paper_cases() {
-    return {{{128, 128, 128}, 36}, {{256, 128, 256}, 36}, {{256, 256, 256}, 36}, {{512, 256, 512}, 36}, {{512, 512, 512}, 36}, {{1024, 512, 1024}, 36},
-            {{512, 512, 512}, 9},  {{512, 512, 512}, 18}, {{512, 512, 512}, 72}};
+    return {{{128, 128, 128}, 36},   {{256, 128, 256}, 36}, {{256, 256, 256}, 36}, {{512, 256, 512}, 36}, {{512, 512, 512}, 36},
+            {{1024, 512, 1024}, 36}, {{512, 512, 512}, 9},  {{512, 512, 512}, 18}, {{512, 512, 512}, 72}};
 }
 
 BenchResult run_bench(const BenchOptions& options, Progress& progress) {
@@ -289,7 +290,10 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
     out.machine = cpu_name();
     out.loops = vector_loops().name;
     out.threads = static_cast<int>(tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism));
-    out.dense_flags = std::string("-O3 -ffast-math ") + (out.loops == "avx512" ? "-march=x86-64-v4" : out.loops == "avx2" ? "-march=x86-64-v3" : "") +
+    out.dense_flags = std::string("-O3 -ffast-math ") +
+                      (out.loops == "avx512" ? "-march=x86-64-v4"
+                       : out.loops == "avx2" ? "-march=x86-64-v3"
+                                             : "") +
                       ", TBB over slices, one byte a voxel and a mask pixel, nearest pixel, runs of 64 voxels left early";
     std::optional<DevicePipeline> device;
     if (options.backend == Backend::Cuda) {
@@ -301,7 +305,8 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
     BenchScene scene;
     std::vector<Image8> binary;
     for (const BenchCase& c : options.cases) {
-        if (c.views < 0 || c.views > kMaxDenseViews) throw UsageError("bench: " + std::to_string(c.views) + " views, must be 1.." + std::to_string(kMaxDenseViews));
+        if (c.views < 0 || c.views > kMaxDenseViews)
+            throw UsageError("bench: " + std::to_string(c.views) + " views, must be 1.." + std::to_string(kMaxDenseViews));
         if (scene.cameras.empty() || (c.views != 0 && scene.cameras.size() != static_cast<size_t>(c.views))) {
             scene = options.scene(c.views);
             binary.clear();
@@ -314,7 +319,9 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
         }
         out.scene = scene.name;
         const auto views = static_cast<int>(scene.cameras.size());
-        if (views > kMaxDenseViews) throw UsageError("bench: " + scene.name + " has " + std::to_string(views) + " views, at most " + std::to_string(kMaxDenseViews) + ". Remedy: --views 36");
+        if (views > kMaxDenseViews)
+            throw UsageError("bench: " + scene.name + " has " + std::to_string(views) + " views, at most " + std::to_string(kMaxDenseViews) +
+                             ". Remedy: --views 36");
         std::vector<MaskView> masks;
         for (const Mask& m : scene.masks) masks.push_back(view_of(m));
         BenchRow row;
@@ -328,7 +335,8 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
         o.lattice.origin_world = o.bounds_world.min();
         o.outside = Outside::Background;
         o.min_seen = 0;
-        const std::string what = std::to_string(c.dims[0]) + "x" + std::to_string(c.dims[1]) + "x" + std::to_string(c.dims[2]) + ", " + std::to_string(views) + " views";
+        const std::string what =
+            std::to_string(c.dims[0]) + "x" + std::to_string(c.dims[1]) + "x" + std::to_string(c.dims[2]) + ", " + std::to_string(views) + " views";
         const size_t dense_bytes = static_cast<size_t>(c.dims[0]) * static_cast<size_t>(c.dims[1]) * static_cast<size_t>(c.dims[2]);
         const bool dense = options.dense && dense_bytes <= options.dense_limit_bytes;
 
@@ -410,8 +418,9 @@ std::string some(double v, int digits) { return v > 0 ? number(v, digits) : "–
 std::string grid_of(const BenchRow& b) { return std::to_string(b.dims[0]) + "x" + std::to_string(b.dims[1]) + "x" + std::to_string(b.dims[2]); }
 
 std::string head_of(const BenchResult& r) {
-    return "scene: " + r.scene + "; " + r.machine + ", " + std::to_string(r.threads) + " threads, vector loops " + r.loops + (r.device.empty() ? "" : "; " + r.device) +
-           "\ndense method: " + r.dense_flags + (r.device.empty() ? "" : "; on the device a thread a voxel, approximate division, early exit") + "\n\n";
+    return "scene: " + r.scene + "; " + r.machine + ", " + std::to_string(r.threads) + " threads, vector loops " + r.loops +
+           (r.device.empty() ? "" : "; " + r.device) + "\ndense method: " + r.dense_flags +
+           (r.device.empty() ? "" : "; on the device a thread a voxel, approximate division, early exit") + "\n\n";
 }
 
 }  // namespace
@@ -426,28 +435,32 @@ std::string bench_table(const BenchResult& r) {
     }
     const auto mb = [&](size_t bytes) { return number(static_cast<double>(bytes) / 1e6, 0); };
     if (cpu) {
-        out << "| grid | views | fields s (cpu) | carve s (cpu) | peak MB | hull MB | leaves | look-ups M | dense s (cpu) | dense peak MB | dense / (fields + carve) | dense / carve | level_set s | dual mesh s | marching cubes s |\n"
+        out << "| grid | views | fields s (cpu) | carve s (cpu) | peak MB | hull MB | leaves | look-ups M | dense s (cpu) | dense peak MB | dense / (fields + "
+               "carve) | dense / carve | level_set s | dual mesh s | marching cubes s |\n"
             << "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
         for (const BenchRow& b : r.rows) {
             const bool dense = b.dense_s > 0;
-            out << "| " << grid_of(b) << " | " << b.views << " | " << number(b.fields_s, 3) << " (" << number(b.fields_cpu_s, 2) << ") | " << number(b.carve_s, 3) << " (" << number(b.carve_cpu_s, 2)
-                << ") | " << mb(b.carve_peak_bytes) << " | " << mb(b.hull_bytes) << " | " << b.leaves << " | " << number(static_cast<double>(b.voxel_lookups) / 1e6, 1) << " | "
+            out << "| " << grid_of(b) << " | " << b.views << " | " << number(b.fields_s, 3) << " (" << number(b.fields_cpu_s, 2) << ") | "
+                << number(b.carve_s, 3) << " (" << number(b.carve_cpu_s, 2) << ") | " << mb(b.carve_peak_bytes) << " | " << mb(b.hull_bytes) << " | "
+                << b.leaves << " | " << number(static_cast<double>(b.voxel_lookups) / 1e6, 1) << " | "
                 << (dense ? number(b.dense_s, 3) + " (" + number(b.dense_cpu_s, 2) + ")" : "–") << " | " << (dense ? mb(b.dense_peak_bytes) : "–") << " | "
-                << (dense ? number(b.ratio_with_fields(), 1) : "–") << " | " << (dense ? number(b.ratio_without_fields(), 1) : "–") << " | " << some(b.level_set_s, 2) << " | " << some(b.mesh_s, 2) << " | "
-                << some(b.cubes_s, 2) << " |\n";
+                << (dense ? number(b.ratio_with_fields(), 1) : "–") << " | " << (dense ? number(b.ratio_without_fields(), 1) : "–") << " | "
+                << some(b.level_set_s, 2) << " | " << some(b.mesh_s, 2) << " | " << some(b.cubes_s, 2) << " |\n";
         }
     }
     if (device) {
         out << "\nDevice, ms: steps are device time; the columns with an arrow are wall time.\n\n"
-            << "| grid | views | leaves | look-ups M | upload | fields | nodes | leaves | topology | fields → hull | level_set | mesh | host masks → hull | device masks → mesh | host masks → mesh | hull → host | → OpenVDB | mesh → host | dense | "
+            << "| grid | views | leaves | look-ups M | upload | fields | nodes | leaves | topology | fields → hull | level_set | mesh | host masks → hull | "
+               "device masks → mesh | host masks → mesh | hull → host | → OpenVDB | mesh → host | dense | "
                "device MB |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
         for (const BenchRow& b : r.rows) {
             if (!b.device) continue;
             const BenchDevice& d = *b.device;
-            out << "| " << grid_of(b) << " | " << b.views << " | " << d.leaf_count << " | " << number(static_cast<double>(d.voxel_lookups) / 1e6, 1) << " | " << number(d.upload, 2) << " | " << number(d.distance, 3) << " | "
-                << number(d.nodes, 3) << " | " << number(d.leaves, 3) << " | " << number(d.topology, 3) << " | " << number(d.fields_to_hull, 3) << " | " << some(d.level_set, 3) << " | " << some(d.mesh, 3) << " | "
-                << number(d.host_to_hull, 2) << " | " << some(d.device_to_mesh, 2) << " | " << some(d.host_to_mesh, 2) << " | " << number(d.download_hull, 1) << " | " << number(d.openvdb_hull, 1) << " | "
-                << some(d.download_mesh, 1) << " | " << some(d.dense, 2) << " | " << mb(d.bytes) << " |\n";
+            out << "| " << grid_of(b) << " | " << b.views << " | " << d.leaf_count << " | " << number(static_cast<double>(d.voxel_lookups) / 1e6, 1) << " | "
+                << number(d.upload, 2) << " | " << number(d.distance, 3) << " | " << number(d.nodes, 3) << " | " << number(d.leaves, 3) << " | "
+                << number(d.topology, 3) << " | " << number(d.fields_to_hull, 3) << " | " << some(d.level_set, 3) << " | " << some(d.mesh, 3) << " | "
+                << number(d.host_to_hull, 2) << " | " << some(d.device_to_mesh, 2) << " | " << some(d.host_to_mesh, 2) << " | " << number(d.download_hull, 1)
+                << " | " << number(d.openvdb_hull, 1) << " | " << some(d.download_mesh, 1) << " | " << some(d.dense, 2) << " | " << mb(d.bytes) << " |\n";
         }
     }
     return out.str();
@@ -462,18 +475,22 @@ std::string bench_paper_table(const BenchResult& r) {
     static const Paper kPaper[] = {{{256, 256, 256}, "–; 11.0; 0.48"}, {{512, 512, 512}, "300; 80; 3.73"}, {{1024, 512, 1024}, "1019; 297; 13.0"}};
     std::ostringstream out;
     out << head_of(r);
-    out << "Seconds from masks in host memory to the volume, distance fields included; the dense method needs none. Transfers of the device apart: masks in, volume out.\n\n"
-        << "| volume | views | CPU x1 dense | CPU x1 sparse | CPU x" << r.threads << " dense | CPU x" << r.threads << " sparse | GPU dense (in) | GPU sparse, in included (in; out) | GPU dense / sparse | carve + mesh a second | the paper: CPU x1; x4; GPU |\n"
+    out << "Seconds from masks in host memory to the volume, distance fields included; the dense method needs none. Transfers of the device apart: masks in, "
+           "volume out.\n\n"
+        << "| volume | views | CPU x1 dense | CPU x1 sparse | CPU x" << r.threads << " dense | CPU x" << r.threads
+        << " sparse | GPU dense (in) | GPU sparse, in included (in; out) | GPU dense / sparse | carve + mesh a second | the paper: CPU x1; x4; GPU |\n"
         << "|---|---|---|---|---|---|---|---|---|---|---|\n";
     for (const BenchRow& b : r.rows) {
         const char* paper = "–";
         for (const Paper& p : kPaper)
             if (p.dims == b.dims && b.views == 36) paper = p.text;
-        out << "| " << grid_of(b) << " | " << b.views << " | " << some(b.dense_one_s, 3) << " | " << some(b.fields_one_s + b.carve_one_s, 3) << " | " << some(b.dense_s, 3) << " | " << some(b.fields_s + b.carve_s, 3) << " | ";
+        out << "| " << grid_of(b) << " | " << b.views << " | " << some(b.dense_one_s, 3) << " | " << some(b.fields_one_s + b.carve_one_s, 3) << " | "
+            << some(b.dense_s, 3) << " | " << some(b.fields_s + b.carve_s, 3) << " | ";
         if (b.device) {
             const BenchDevice& d = *b.device;
             const double dense = d.dense > 0 ? d.dense + d.dense_upload : 0;
-            out << (d.dense > 0 ? number(dense / 1e3, 5) + " (" + number(d.dense_upload / 1e3, 5) + ")" : "–") << " | " << number(d.host_to_hull / 1e3, 5) << " (" << number(d.upload / 1e3, 5) << "; " << number(d.download_hull / 1e3, 5) << ") | "
+            out << (d.dense > 0 ? number(dense / 1e3, 5) + " (" + number(d.dense_upload / 1e3, 5) + ")" : "–") << " | " << number(d.host_to_hull / 1e3, 5)
+                << " (" << number(d.upload / 1e3, 5) << "; " << number(d.download_hull / 1e3, 5) << ") | "
                 << (dense > 0 ? number(dense / d.host_to_hull, 1) : "–") << " | " << (d.host_to_mesh > 0 ? number(1e3 / d.host_to_mesh, 0) : "–") << " | ";
         } else {
             out << "– | – | – | – | ";
@@ -493,9 +510,17 @@ std::string bench_json(const BenchResult& r) {
             if (value > 0) to[key] = value;
         };
         if (b.carve_s > 0) {
-            row.update({{"fields_s", b.fields_s}, {"fields_cpu_s", b.fields_cpu_s}, {"carve_s", b.carve_s}, {"carve_cpu_s", b.carve_cpu_s},
-                        {"carve_peak_bytes", b.carve_peak_bytes}, {"field_bytes", b.field_bytes}, {"hull_bytes", b.hull_bytes}, {"leaves", b.leaves},
-                        {"active_voxels", b.active_voxels}, {"node_tests", b.node_tests}, {"voxel_lookups", b.voxel_lookups}});
+            row.update({{"fields_s", b.fields_s},
+                        {"fields_cpu_s", b.fields_cpu_s},
+                        {"carve_s", b.carve_s},
+                        {"carve_cpu_s", b.carve_cpu_s},
+                        {"carve_peak_bytes", b.carve_peak_bytes},
+                        {"field_bytes", b.field_bytes},
+                        {"hull_bytes", b.hull_bytes},
+                        {"leaves", b.leaves},
+                        {"active_voxels", b.active_voxels},
+                        {"node_tests", b.node_tests},
+                        {"voxel_lookups", b.voxel_lookups}});
         }
         if (b.level_set_s > 0) {
             row["level_set_s"] = b.level_set_s;
@@ -516,9 +541,19 @@ std::string bench_json(const BenchResult& r) {
         put(row, "dense_one_thread_s", b.dense_one_s);
         if (b.device) {
             const BenchDevice& d = *b.device;
-            nlohmann::ordered_json v{{"leaves", d.leaf_count}, {"node_tests", d.node_tests}, {"voxel_lookups", d.voxel_lookups}, {"bytes", d.bytes}, {"upload_ms", d.upload}, {"fields_ms", d.distance},
-                                     {"nodes_ms", d.nodes}, {"leaves_ms", d.leaves}, {"topology_ms", d.topology}, {"fields_to_hull_ms", d.fields_to_hull}, {"host_masks_to_hull_ms", d.host_to_hull},
-                                     {"download_hull_ms", d.download_hull}, {"download_and_convert_hull_ms", d.openvdb_hull}};
+            nlohmann::ordered_json v{{"leaves", d.leaf_count},
+                                     {"node_tests", d.node_tests},
+                                     {"voxel_lookups", d.voxel_lookups},
+                                     {"bytes", d.bytes},
+                                     {"upload_ms", d.upload},
+                                     {"fields_ms", d.distance},
+                                     {"nodes_ms", d.nodes},
+                                     {"leaves_ms", d.leaves},
+                                     {"topology_ms", d.topology},
+                                     {"fields_to_hull_ms", d.fields_to_hull},
+                                     {"host_masks_to_hull_ms", d.host_to_hull},
+                                     {"download_hull_ms", d.download_hull},
+                                     {"download_and_convert_hull_ms", d.openvdb_hull}};
             put(v, "level_set_ms", d.level_set);
             put(v, "mesh_ms", d.mesh);
             put(v, "device_masks_to_mesh_ms", d.device_to_mesh);
@@ -554,7 +589,10 @@ std::string bench_svg(const BenchResult& r, bool over_views) {
     std::vector<Line> lines{{"CPU: dense method", "#b04a3a", [](const BenchRow& b) { return b.dense_s; }, {}},
                             {"CPU: distance fields + carve", "#2a6f97", [](const BenchRow& b) { return b.fields_s + b.carve_s; }, {}},
                             {"CPU: level_set", "#7a7a4a", [](const BenchRow& b) { return b.level_set_s; }, {}},
-                            {"GPU: dense method, masks uploaded", "#d98c7f", [](const BenchRow& b) { return b.device && b.device->dense > 0 ? (b.device->dense + b.device->dense_upload) / 1e3 : 0; }, {}},
+                            {"GPU: dense method, masks uploaded",
+                             "#d98c7f",
+                             [](const BenchRow& b) { return b.device && b.device->dense > 0 ? (b.device->dense + b.device->dense_upload) / 1e3 : 0; },
+                             {}},
                             {"GPU: masks in host memory to hull", "#3a9a6a", device(&BenchDevice::host_to_hull), {}},
                             {"GPU: masks on the device to mesh", "#8a5fb0", device(&BenchDevice::device_to_mesh), {}},
                             {"GPU: carve alone", "#61a5c2", device(&BenchDevice::fields_to_hull), {}}};
@@ -580,19 +618,22 @@ std::string bench_svg(const BenchResult& r, bool over_views) {
     const auto px = [&](double x) { return kLeft + (x_high > x_low ? std::log(x / x_low) / std::log(x_high / x_low) : 0.5) * (kWidth - kLeft - kRight); };
     const auto py = [&](double y) { return kHeight - kBottom - std::log(y / y_low) / std::log(y_high / y_low) * (kHeight - kTop - kBottom); };
     std::ostringstream s;
-    s << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 " << kWidth << " " << kHeight << "\" font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n";
+    s << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 " << kWidth << " " << kHeight
+      << "\" font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n";
     s << "<text x=\"" << kLeft << "\" y=\"22\" font-size=\"14\">" << r.scene << ": seconds over " << (over_views ? "views" : "voxels") << ", "
-      << (over_views ? std::to_string(common[0]) + "×" + std::to_string(common[1]) + "×" + std::to_string(common[2]) : std::to_string(common[0]) + " views") << ", CPU on " << r.threads << " threads</text>\n";
+      << (over_views ? std::to_string(common[0]) + "×" + std::to_string(common[1]) + "×" + std::to_string(common[2]) : std::to_string(common[0]) + " views")
+      << ", CPU on " << r.threads << " threads</text>\n";
     for (double y = y_low; y <= y_high * 1.001; y *= 10)
-        s << "<line x1=\"" << kLeft << "\" x2=\"" << kWidth - kRight << "\" y1=\"" << py(y) << "\" y2=\"" << py(y) << "\" stroke=\"#ddd\"/><text x=\"" << kLeft - 8 << "\" y=\"" << py(y) + 4
-          << "\" text-anchor=\"end\">" << y << " s</text>\n";
+        s << "<line x1=\"" << kLeft << "\" x2=\"" << kWidth - kRight << "\" y1=\"" << py(y) << "\" y2=\"" << py(y) << "\" stroke=\"#ddd\"/><text x=\""
+          << kLeft - 8 << "\" y=\"" << py(y) + 4 << "\" text-anchor=\"end\">" << y << " s</text>\n";
     // Labels that would lie on each other take turns on two lines.
     double last_x = -1e9;
     bool low = false;
     for (const auto& [x, label] : ticks) {
         low = px(x) - last_x < 90 && !low;
         last_x = px(x);
-        s << "<text x=\"" << px(x) << "\" y=\"" << kHeight - kBottom + (low ? 32 : 18) << "\" text-anchor=\"middle\">" << label << (over_views ? " views" : "") << "</text>\n";
+        s << "<text x=\"" << px(x) << "\" y=\"" << kHeight - kBottom + (low ? 32 : 18) << "\" text-anchor=\"middle\">" << label << (over_views ? " views" : "")
+          << "</text>\n";
     }
     int shown = 0;
     for (Line& line : lines) {
@@ -602,7 +643,8 @@ std::string bench_svg(const BenchResult& r, bool over_views) {
         for (const auto& [x, y] : line.points) s << px(x) << "," << py(y) << " ";
         s << "\"/>\n";
         for (const auto& [x, y] : line.points) s << "<circle cx=\"" << px(x) << "\" cy=\"" << py(y) << "\" r=\"3\" fill=\"" << line.colour << "\"/>\n";
-        s << "<text x=\"" << kLeft - 50 + 245 * (shown % 3) << "\" y=\"" << kHeight - 46 + 16 * (shown / 3) << "\" fill=\"" << line.colour << "\">" << line.name << "</text>\n";
+        s << "<text x=\"" << kLeft - 50 + 245 * (shown % 3) << "\" y=\"" << kHeight - 46 + 16 * (shown / 3) << "\" fill=\"" << line.colour << "\">" << line.name
+          << "</text>\n";
         ++shown;
     }
     s << "</svg>\n";

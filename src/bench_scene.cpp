@@ -15,7 +15,9 @@ BenchScene load_bench_scene(const std::filesystem::path& folder, const std::opti
     const std::vector<Camera> cameras = loaded.cameras();
     const auto there = static_cast<int>(cameras.size());
     if (views == 0) views = there;
-    if (views > there) throw UsageError("bench: " + folder.string() + " has " + std::to_string(there) + " views, " + std::to_string(views) + " are asked for. Remedy: --views " + std::to_string(there));
+    if (views > there)
+        throw UsageError("bench: " + folder.string() + " has " + std::to_string(there) + " views, " + std::to_string(views) +
+                         " are asked for. Remedy: --views " + std::to_string(there));
     BenchScene out;
     out.name = folder.filename().string();
     std::vector<CarveInput> inputs;

@@ -34,7 +34,7 @@ std::vector<uint8_t> with_resolution(const std::vector<uint8_t>& png, double dot
     const auto dots = static_cast<uint32_t>(std::lround(dots_per_metre));
     put_big(chunk, dots);
     put_big(chunk, dots);
-    chunk.push_back(1);  // a metre
+    chunk.push_back(1);                                       // a metre
     std::vector<uint8_t> out(png.begin(), png.begin() + 33);  // signature (8) and IHDR (25)
     put_big(out, 9);
     out.insert(out.end(), chunk.begin(), chunk.end());
@@ -47,19 +47,20 @@ std::vector<uint8_t> with_resolution(const std::vector<uint8_t>& png, double dot
 std::string pdf_of(const Image8& image, double dots_per_metre) {
     uLongf size = compressBound(image.data.size());
     std::string packed(size, '\0');
-    if (compress2(reinterpret_cast<Bytef*>(packed.data()), &size, image.data.data(), image.data.size(), 9) != Z_OK) throw OutputError("board: the picture could not be compressed");
+    if (compress2(reinterpret_cast<Bytef*>(packed.data()), &size, image.data.data(), image.data.size(), 9) != Z_OK)
+        throw OutputError("board: the picture could not be compressed");
     packed.resize(size);
     char width[32], height[32];
     std::snprintf(width, sizeof width, "%.4f", image.width / dots_per_metre * kPointsPerMetre);
     std::snprintf(height, sizeof height, "%.4f", image.height / dots_per_metre * kPointsPerMetre);
     const std::string content = std::string("q ") + width + " 0 0 " + height + " 0 0 cm /Mat Do Q";
     const std::string objects[] = {
-        "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
-        "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>", "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
         std::string("<< /Type /Page /Parent 2 0 R /MediaBox [0 0 ") + width + " " + height + "] /Contents 4 0 R /Resources << /XObject << /Mat 5 0 R >> >> >>",
         "<< /Length " + std::to_string(content.size()) + " >>\nstream\n" + content + "\nendstream",
-        "<< /Type /XObject /Subtype /Image /Width " + std::to_string(image.width) + " /Height " + std::to_string(image.height) + " /ColorSpace /DeviceGray /BitsPerComponent 8 /Filter /FlateDecode /Length " +
-            std::to_string(packed.size()) + " >>\nstream\n" + packed + "\nendstream"};
+        "<< /Type /XObject /Subtype /Image /Width " + std::to_string(image.width) + " /Height " + std::to_string(image.height) +
+            " /ColorSpace /DeviceGray /BitsPerComponent 8 /Filter /FlateDecode /Length " + std::to_string(packed.size()) + " >>\nstream\n" + packed +
+            "\nendstream"};
     std::string out = "%PDF-1.4\n";
     std::vector<size_t> starts;
     for (size_t i = 0; i < std::size(objects); ++i) {
@@ -96,10 +97,18 @@ void check_mat(const MatLayout& mat) {
     const auto need = [&](bool ok, const std::string& what) {
         if (!ok) bad += (bad.empty() ? "" : "; ") + what;
     };
-    need(mat.columns >= 2 && mat.rows >= 2 && mat.columns <= 100 && mat.rows <= 100, "mat: " + std::to_string(mat.columns) + "x" + std::to_string(mat.rows) + ", must be 2x2 to 100x100");
-    need(mat.kind == MatLayout::Kind::Grid || mat.rows % 2 == 1, "mat: a chessboard of " + std::to_string(mat.rows) + " rows; the number must be odd, as even ones are drawn differently by different versions of OpenCV");
-    need(mat.marker_m > 0 && mat.step_m > mat.marker_m, mat.kind == MatLayout::Kind::Grid ? "mat: markers need a gap between them" : text_of("mat: a marker of %g m must be smaller than its square of %g m (SQUARE:MARKER)", mat.marker_m, mat.step_m));
-    need(mat.marker_m <= 1 && mat.width_m() <= 10 && mat.height_m() <= 10, text_of("mat: markers of %g m, %g x %g m in all: lengths are in metres, %g mm are %g", mat.marker_m, mat.width_m(), mat.height_m(), mat.marker_m, mat.marker_m / 1000));
+    need(mat.columns >= 2 && mat.rows >= 2 && mat.columns <= 100 && mat.rows <= 100,
+         "mat: " + std::to_string(mat.columns) + "x" + std::to_string(mat.rows) + ", must be 2x2 to 100x100");
+    need(mat.kind == MatLayout::Kind::Grid || mat.rows % 2 == 1,
+         "mat: a chessboard of " + std::to_string(mat.rows) +
+             " rows; the number must be odd, as even ones are drawn differently by different versions of OpenCV");
+    need(mat.marker_m > 0 && mat.step_m > mat.marker_m,
+         mat.kind == MatLayout::Kind::Grid
+             ? "mat: markers need a gap between them"
+             : text_of("mat: a marker of %g m must be smaller than its square of %g m (SQUARE:MARKER)", mat.marker_m, mat.step_m));
+    need(mat.marker_m <= 1 && mat.width_m() <= 10 && mat.height_m() <= 10,
+         text_of("mat: markers of %g m, %g x %g m in all: lengths are in metres, %g mm are %g", mat.marker_m, mat.width_m(), mat.height_m(), mat.marker_m,
+                 mat.marker_m / 1000));
     const int known = dictionary_size(mat.dictionary);
     const int used = mat.kind == MatLayout::Kind::Grid ? mat.columns * mat.rows : mat.columns * mat.rows / 2;
     need(known == 0 || used <= known, "mat: " + std::to_string(used) + " markers, the dictionary " + mat.dictionary + " has " + std::to_string(known));
@@ -122,7 +131,9 @@ MatLayout read_mat(const std::string& text) {
             out.step_m = j.at("step_m");
             out.dictionary = j.at("dictionary");
         } catch (const nlohmann::json::exception& e) {
-            throw InputError(text + ": is no mat's layout" + (fs::is_regular_file(text + ".json") ? ". Remedy: --mat " + text + ".json, which was written beside it" : std::string(": ") + e.what()));
+            throw InputError(
+                text + ": is no mat's layout" +
+                (fs::is_regular_file(text + ".json") ? ". Remedy: --mat " + text + ".json, which was written beside it" : std::string(": ") + e.what()));
         }
         check_mat(out);
         return out;
@@ -131,7 +142,10 @@ MatLayout read_mat(const std::string& text) {
     std::istringstream in(text);
     for (std::string word; std::getline(in, word, ':');) words.push_back(word);
     if ((words.size() != 4 && words.size() != 5) || (words[0] != "grid" && words[0] != "charuco"))
-        throw UsageError("--mat " + text + (text.find(':') == std::string::npos ? ": there is no such file, and it is" : ": is") + (words.size() == 2 || words.size() == 3 ? text_of(" incomplete (%s of 4 or 5), and", counted(words.size(), "field").c_str()) : std::string()) + " neither a file nor grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)");
+        throw UsageError(
+            "--mat " + text + (text.find(':') == std::string::npos ? ": there is no such file, and it is" : ": is") +
+            (words.size() == 2 || words.size() == 3 ? text_of(" incomplete (%s of 4 or 5), and", counted(words.size(), "field").c_str()) : std::string()) +
+            " neither a file nor grid:COLSxROWS:MARKER:GAP:DICT or charuco:COLSxROWS:SQUARE:MARKER:DICT (metres)");
     out.kind = words[0] == "grid" ? MatLayout::Kind::Grid : MatLayout::Kind::Charuco;
     char cross = 0, rest = 0;
     std::istringstream size(words[1]);
@@ -199,7 +213,14 @@ void write_board(const MatLayout& mat, const fs::path& file, double margin_m) {
     }
     fs::path layout = file;
     layout += ".json";
-    write_file(layout, nlohmann::json{{"kind", mat.kind == MatLayout::Kind::Grid ? "grid" : "charuco"}, {"columns", mat.columns}, {"rows", mat.rows}, {"marker_m", mat.marker_m}, {"step_m", mat.step_m}, {"dictionary", mat.dictionary}}.dump(1) + "\n");
+    write_file(layout, nlohmann::json{{"kind", mat.kind == MatLayout::Kind::Grid ? "grid" : "charuco"},
+                                      {"columns", mat.columns},
+                                      {"rows", mat.rows},
+                                      {"marker_m", mat.marker_m},
+                                      {"step_m", mat.step_m},
+                                      {"dictionary", mat.dictionary}}
+                               .dump(1) +
+                           "\n");
 }
 
 }  // namespace vdbcarve

@@ -81,8 +81,9 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
         if (depth > 0) radii.push_back(0.5 * box.diagonal().norm() * depth / std::min(k.fx, k.fy));
     }
     if (radii.size() * 2 < boxes.size())
-        throw ContradictionError("the silhouettes' lines of sight meet behind most cameras: the cameras look away from the object. "
-                                 "Remedy: check the camera file's axes (OpenGL cameras in an OpenCV format, or the reverse?)");
+        throw ContradictionError(
+            "the silhouettes' lines of sight meet behind most cameras: the cameras look away from the object. "
+            "Remedy: check the camera file's axes (OpenGL cameras in an OpenCV format, or the reverse?)");
     Box3d box(centre - Vec3d::Constant(1.5 * median(radii)), centre + Vec3d::Constant(1.5 * median(radii)));
 
     CarveOptions options = given;
@@ -106,9 +107,12 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
         if (hull.isEmpty()) {
             options.allow_empty = false;
             try {
-                carve_in(box, 64);  // says why
+                carve_in(box, 64);         // says why
             } catch (const UsageError&) {  // of bounds that nobody gave
-                throw ContradictionError(text_of("the cameras do not look at one object: no place is in frame of as many views as --min-seen %.2f wants. Remedy: mend the cameras, or lower --min-seen", options.min_seen));
+                throw ContradictionError(
+                    text_of("the cameras do not look at one object: no place is in frame of as many views as --min-seen %.2f wants. Remedy: mend the cameras, "
+                            "or lower --min-seen",
+                            options.min_seen));
             }
             throw ContradictionError("the silhouettes leave no hull");
         }
@@ -146,7 +150,8 @@ Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions
     return {box.min() - pad, box.max() + pad};
 }
 
-Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<MaskView>& masks, double silhouette_offset_px, const CarveOptions& options, Progress& progress) {
+Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<MaskView>& masks, double silhouette_offset_px, const CarveOptions& options,
+                       Progress& progress) {
     constexpr int kPixels = 1024;
     int longest = 0;
     for (const MaskView& m : masks) longest = std::max({longest, m.coverage.width, m.coverage.height});

@@ -31,7 +31,8 @@ using nlohmann::json;
 namespace {
 
 std::string versions() {
-    json out{{"vdbcarve", kVersion}, {"openvdb", OPENVDB_LIBRARY_VERSION_STRING}, {"opencv", CV_VERSION}, {"compiler", __VERSION__}, {"threads", std::thread::hardware_concurrency()}, {"memory_bytes", machine_memory_bytes()}};
+    json out{{"vdbcarve", kVersion},    {"openvdb", OPENVDB_LIBRARY_VERSION_STRING},      {"opencv", CV_VERSION},
+             {"compiler", __VERSION__}, {"threads", std::thread::hardware_concurrency()}, {"memory_bytes", machine_memory_bytes()}};
     utsname system{};
     if (uname(&system) == 0) out["system"] = std::string(system.sysname) + " " + system.release + " " + system.machine;
     std::ifstream release("/etc/os-release");
@@ -71,8 +72,12 @@ with the options of config.toml for grid, carving and result. What masks ignored
 }  // namespace
 
 size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions& options, Progress& progress) {
-    if (!fs::is_directory(result)) throw InputError(result.string() + ": no such folder. Remedy: the folder given to reconstruct as -o; of a run that ended before it made one, what the program said is all there is to send");
-    if (!fs::exists(result / "stages" / "made_by_vdbcarve.json")) throw InputError(result.string() + ": was not made by vdbcarve. Remedy: the folder given to reconstruct as -o");
+    if (!fs::is_directory(result))
+        throw InputError(result.string() +
+                         ": no such folder. Remedy: the folder given to reconstruct as -o; of a run that ended before it made one, what the program said is "
+                         "all there is to send");
+    if (!fs::exists(result / "stages" / "made_by_vdbcarve.json"))
+        throw InputError(result.string() + ": was not made by vdbcarve. Remedy: the folder given to reconstruct as -o");
     if (options.width_px < 0) throw UsageError("bundle: masks cannot be " + std::to_string(options.width_px) + " pixels wide");
     const std::string said = file.filename().string();
     if (!said.ends_with(".tar.gz") && !said.ends_with(".tgz")) throw UsageError(file.string() + ": a bundle is a .tar.gz. Remedy: -o NAME.tar.gz");
@@ -91,7 +96,9 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
 
     std::vector<fs::path> masks = sorted_files(result / "masks");
     std::erase_if(masks, [](const fs::path& mask) { return mask.extension() != ".png"; });
-    if (masks.empty()) throw InputError((result / "masks").string() + ": holds no masks: the run ended before there were any. Remedy: send config.toml and what the program said");
+    if (masks.empty())
+        throw InputError((result / "masks").string() +
+                         ": holds no masks: the run ended before there were any. Remedy: send config.toml and what the program said");
     Views views;
     std::vector<std::string> names;
     try {

@@ -23,7 +23,7 @@
 namespace vdbcarve {
 namespace {
 
-constexpr int kSmall_px = 240;    ///< longer side of the silhouettes that readings are judged with
+constexpr int kSmall_px = 240;  ///< longer side of the silhouettes that readings are judged with
 constexpr int kReadingVoxels = 80;
 constexpr size_t kPointsPerView = 60;
 constexpr double kOutlier_px = 3;
@@ -59,12 +59,17 @@ std::vector<Reading> readings_of(const std::vector<Camera>& cameras) {
     const auto centred = [](const Rigid3& p) { return Rigid3{p.rotation, -(p.rotation * p.translation)}; };
     poses("with the cameras' y and z axes negated (OpenGL's axes for OpenCV's, or the reverse)", gl);
     poses("inverted (camera to world for world to camera, or the reverse)", inverse);
-    poses("inverted (camera to world for world to camera), and with the cameras' y and z axes negated (OpenGL's for OpenCV's)", [&](const Rigid3& p) { return gl(p.inverse()); });
+    poses("inverted (camera to world for world to camera), and with the cameras' y and z axes negated (OpenGL's for OpenCV's)",
+          [&](const Rigid3& p) { return gl(p.inverse()); });
     poses("with rotations transposed", transposed);
     poses("with rotations transposed, and the cameras' y and z axes negated", [&](const Rigid3& p) { return gl(transposed(p)); });
     poses("with translations as the cameras' places", centred);
-    poses("with translations as the cameras' places, and the cameras' y and z axes negated", [&](const Rigid3& p) { return Rigid3{flip * p.rotation, -(flip * p.rotation * p.translation)}; });
-    poses("with rotations transposed, the cameras staying where they are", [](const Rigid3& p) { return Rigid3{p.rotation.transpose(), p.rotation.transpose() * (p.rotation.transpose() * p.translation)}; });
+    poses("with translations as the cameras' places, and the cameras' y and z axes negated", [&](const Rigid3& p) {
+        return Rigid3{flip * p.rotation, -(flip * p.rotation * p.translation)};
+    });
+    poses("with rotations transposed, the cameras staying where they are", [](const Rigid3& p) {
+        return Rigid3{p.rotation.transpose(), p.rotation.transpose() * (p.rotation.transpose() * p.translation)};
+    });
     poses("with rotations transposed before axes are turned, the cameras staying where they are", [&](const Rigid3& p) {
         const Mat3d r = flip * p.rotation.transpose() * flip;
         return Rigid3{r, r * (p.rotation.transpose() * p.translation)};
@@ -109,7 +114,9 @@ std::string doubt_of_up(const std::vector<Camera>& cameras, const std::string& s
     const double cosine = up_direction(said, cameras).dot(up_world);
     if (cosine > std::cos(45 * kRadians)) return "";
     const std::string guessed = axis_near(up_world);
-    return "up is said to be " + said + ", but the cameras stand upright " + (guessed.empty() ? text_of("%.0f degrees from it", std::acos(std::clamp(cosine, -1.0, 1.0)) / kRadians) : "along " + guessed) + ". Remedy: " + (guessed.empty() ? "--up, as it is meant" : "--up " + guessed);
+    return "up is said to be " + said + ", but the cameras stand upright " +
+           (guessed.empty() ? text_of("%.0f degrees from it", std::acos(std::clamp(cosine, -1.0, 1.0)) / kRadians) : "along " + guessed) +
+           ". Remedy: " + (guessed.empty() ? "--up, as it is meant" : "--up " + guessed);
 }
 
 void judge(std::vector<Reading>& readings, const std::vector<MaskView>& masks, Progress& progress) {
@@ -118,7 +125,8 @@ void judge(std::vector<Reading>& readings, const std::vector<MaskView>& masks, P
         const ImageView<uint8_t>& m = masks[i].coverage;
         if (m.empty()) return;
         const double factor = std::min(1.0, static_cast<double>(kSmall_px) / std::max(m.width, m.height));
-        small[i] = io::downscale(m, std::max(2, static_cast<int>(std::lround(factor * m.width))), std::max(2, static_cast<int>(std::lround(factor * m.height))));
+        small[i] =
+            io::downscale(m, std::max(2, static_cast<int>(std::lround(factor * m.width))), std::max(2, static_cast<int>(std::lround(factor * m.height))));
         turned[i] = mirrored(small[i]);
     });
     progress.begin("readings", readings.size());
@@ -150,7 +158,9 @@ void judge(std::vector<Reading>& readings, const std::vector<MaskView>& masks, P
 
 std::optional<CommonError> common_error(const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, Progress& progress) {
     const std::optional<Vec3d> middle = look_at_point(cameras);
-    if (!middle || std::any_of(cameras.begin(), cameras.end(), [](const Camera& c) { return c.intrinsics.orthographic || std::fabs(c.intrinsics.skew) > 1e-6 * c.intrinsics.fx; })) return std::nullopt;
+    if (!middle || std::any_of(cameras.begin(), cameras.end(),
+                               [](const Camera& c) { return c.intrinsics.orthographic || std::fabs(c.intrinsics.skew) > 1e-6 * c.intrinsics.fx; }))
+        return std::nullopt;
     Silhouettes silhouettes(masks);
     if (silhouettes.seen().size() < 4) return std::nullopt;
     int scale = 1;  // large photographs are looked at more coarsely: their fields would be gigabytes
@@ -210,7 +220,8 @@ std::optional<CommonError> common_error(const std::vector<Camera>& cameras, cons
             Vec3d row = Vec3d::Zero();
             for (const auto& [which, share] : {std::pair{held.first, held.share}, {held.second, 1 - held.share}}) {
                 const Support& s = supports[which];
-                row += share * Vec3d(s.by_own[kCentreX] + s.by_view[kCentreX], s.by_own[kCentreY] + s.by_view[kCentreY], s.by_own[kLnFocal] + s.by_view[kLnFocal]);
+                row +=
+                    share * Vec3d(s.by_own[kCentreX] + s.by_view[kCentreX], s.by_own[kCentreY] + s.by_view[kCentreY], s.by_own[kLnFocal] + s.by_view[kLnFocal]);
             }
             normal += row * row.transpose();
             right -= residual * row;

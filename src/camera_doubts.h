@@ -15,7 +15,7 @@ namespace vdbcarve {
 
 /// Cameras and silhouettes put together in another way than the files say.
 struct Reading {
-    std::string words;               ///< "inverted (camera to world …)"; empty: as the files say
+    std::string words;  ///< "inverted (camera to world …)"; empty: as the files say
     std::vector<Camera> cameras;
     std::vector<size_t> silhouette;  ///< of each camera, the number of its silhouette
     bool mirrored = false;           ///< the silhouettes are mirror images, left for right
@@ -35,14 +35,15 @@ Vec3d mean_up(const std::vector<Camera>& cameras);
 /// The world axis ("x", "-x" …) within 20 degrees of a direction; empty: none is.
 std::string axis_near(const Vec3d& up_world);
 
-/// A sentence with its remedy where the cameras stand upright along another direction than `said` (an axis; empty: it is not said), by more than 45 degrees; else empty.
+/// A sentence with its remedy where the cameras stand upright along another direction than `said` (an axis; empty: it is not said), by more than 45 degrees;
+/// else empty.
 std::string doubt_of_up(const std::vector<Camera>& cameras, const std::string& said);
 
 /// What would make the silhouettes more coherent, were it added to all cameras.
 struct CommonError {
     double shift_x_px = 0, shift_y_px = 0;  ///< of the principal points; NaN where the views leave it open
     double focal_factor = 1;
-    std::array<double, 3> sd{};             ///< standard errors of the three, the last one relative
+    std::array<double, 3> sd{};  ///< standard errors of the three, the last one relative
     double rms_before_px = 0, rms_after_px = 0;
 };
 

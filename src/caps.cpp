@@ -247,7 +247,9 @@ openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d
     // From the borders inwards.
     cv::Mat gone = cv::Mat::zeros(depth, width, CV_8U);
     std::vector<std::pair<int, int>> front;
-    const auto flat = [&](int i, int j) { return foot.at<uint8_t>(j, i) && standing.at<int>(j, i) * voxel <= clear + slope * (from_border.at<float>(j, i) + 1) * voxel; };
+    const auto flat = [&](int i, int j) {
+        return foot.at<uint8_t>(j, i) && standing.at<int>(j, i) * voxel <= clear + slope * (from_border.at<float>(j, i) + 1) * voxel;
+    };
     const auto take = [&](int i, int j) {
         if (i < 0 || j < 0 || i >= width || j >= depth || gone.at<uint8_t>(j, i) || !flat(i, j)) return;
         gone.at<uint8_t>(j, i) = 255;
@@ -279,7 +281,8 @@ openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d
             // Above what stands here, or next to here, is whatever hangs over it.
             int top = standing.at<int>(j, i);
             for (const auto& [di, dj] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}})
-                if (i + di >= 0 && j + dj >= 0 && i + di < width && j + dj < depth && gone.at<uint8_t>(j + dj, i + di)) top = std::max(top, standing.at<int>(j + dj, i + di));
+                if (i + di >= 0 && j + dj >= 0 && i + di < width && j + dj < depth && gone.at<uint8_t>(j + dj, i + di))
+                    top = std::max(top, standing.at<int>(j + dj, i + di));
             const double below = top + 0.5 - (c[axis] - lowest) * upwards;
             const double cut = std::clamp(std::min(inside, below) * voxel, -static_cast<double>(band), static_cast<double>(band));
             leaf.setValueOnly(n, std::max(leaf.getValue(n), static_cast<float>(cut)));
@@ -288,7 +291,8 @@ openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d
     try {
         return redistance(std::move(surface), half_width, nullptr, progress);
     } catch (const InputError&) {
-        throw InputError("all of the object lies flat on the floor at " + std::to_string(height) + ". Remedy: --floor-clear 0, another --floor HEIGHT, or check --up");
+        throw InputError("all of the object lies flat on the floor at " + std::to_string(height) +
+                         ". Remedy: --floor-clear 0, another --floor HEIGHT, or check --up");
     }
 }
 
@@ -308,14 +312,16 @@ openvdb::FloatGrid::Ptr cut_flat(openvdb::FloatGrid::Ptr surface, const Vec3d& u
     });
     openvdb::tree::LeafManager<openvdb::FloatTree>(surface->tree()).foreach ([&](Leaf& leaf, size_t) {
         for (openvdb::Index at = 0; at < Leaf::SIZE; ++at) {
-            const auto cut = static_cast<float>(std::clamp(below(leaf.offsetToGlobalCoord(at).asVec3d()), -static_cast<double>(band), static_cast<double>(band)));
+            const auto cut =
+                static_cast<float>(std::clamp(below(leaf.offsetToGlobalCoord(at).asVec3d()), -static_cast<double>(band), static_cast<double>(band)));
             leaf.setValueOnly(at, std::max(leaf.getValue(at), cut));
         }
     });
     try {
         return redistance(std::move(surface), half_width, nullptr, progress);
     } catch (const InputError&) {
-        throw InputError("nothing of the object lies above the plane at " + std::to_string(height) + " along its up axis, by which it is cut. Remedy: check --up; leave --floor or --base flat away, or \"floor\" in the camera file");
+        throw InputError("nothing of the object lies above the plane at " + std::to_string(height) +
+                         " along its up axis, by which it is cut. Remedy: check --up; leave --floor or --base flat away, or \"floor\" in the camera file");
     }
 }
 

@@ -135,8 +135,8 @@ constexpr int kMaxMisses = 15;  // a voxel keeps its largest k + 1 values on the
 
 /// A leaf that is not decided yet: of each voxel the largest values so far (cell order), largest first.
 struct OpenLeaf {
-    std::vector<float> largest;  ///< ranks x 512
-    unsigned alive = 0xff;       ///< cells that are not outside everywhere
+    std::vector<float> largest;        ///< ranks x 512
+    unsigned alive = 0xff;             ///< cells that are not outside everywhere
     int cell_misses[kLeafCells] = {};  ///< views that show background all over the cell, certain_misses of the node apart
 };
 
@@ -159,9 +159,9 @@ struct Found {
 
 /// What adding views to a hull found below one root node.
 struct Extended {
-    Found found;                      ///< leaves that the new views cut
-    std::vector<const Leaf*> kept;    ///< leaves of the old hull that no new view says anything about
-    std::vector<OpenNode> again;      ///< to be asked of all views
+    Found found;                    ///< leaves that the new views cut
+    std::vector<const Leaf*> kept;  ///< leaves of the old hull that no new view says anything about
+    std::vector<OpenNode> again;    ///< to be asked of all views
 };
 
 struct NodeState {
@@ -169,9 +169,9 @@ struct NodeState {
     int size;
     const uint16_t* views;  ///< those of the batch that still matter
     int view_count;
-    int certain_misses;     ///< views that show background all over the node
-    bool seen;              ///< enough views have the whole node in frame
-    bool in_box;            ///< the whole node lies deeper inside the bounds than the band
+    int certain_misses;  ///< views that show background all over the node
+    bool seen;           ///< enough views have the whole node in frame
+    bool in_box;         ///< the whole node lies deeper inside the bounds than the band
 };
 
 /// Place, in a leaf, of the four voxels that a cell's row holds, and back: see cell_order.
@@ -228,7 +228,8 @@ class Carver {
         const auto need_known = static_cast<int>(plan_carve(known, options_).need_seen);
         // Of more views more must see a place: where as many more as there are, the need_seen-th smallest distance to a frame only grows.
         const bool unseen_grows = need_seen_ - need_known >= static_cast<int>(batch_.size());
-        extend(walk, {hull, static_cast<int>(known), need_known, unseen_grows}, {{node.origin[0], node.origin[1], node.origin[2]}, node.size, batch_.data(), static_cast<int>(batch_.size()), 0, false, false}, false, out);
+        extend(walk, {hull, static_cast<int>(known), need_known, unseen_grows},
+               {{node.origin[0], node.origin[1], node.origin[2]}, node.size, batch_.data(), static_cast<int>(batch_.size()), 0, false, false}, false, out);
     }
 
     /// Surface, caps and inside of a leaf that is kept.
@@ -243,7 +244,14 @@ class Carver {
     void ask(OpenNode node, Found& found) const {
         std::vector<std::vector<uint16_t>> lists(8);
         Walk walk{found, lists, {}};
-        descend(walk, {{node.origin[0], node.origin[1], node.origin[2]}, node.size, batch_.data(), static_cast<int>(batch_.size()), node.certain_misses, need_seen_ <= 0, false},
+        descend(walk,
+                {{node.origin[0], node.origin[1], node.origin[2]},
+                 node.size,
+                 batch_.data(),
+                 static_cast<int>(batch_.size()),
+                 node.certain_misses,
+                 need_seen_ <= 0,
+                 false},
                 0, std::move(node.leaf));
     }
 
@@ -321,7 +329,8 @@ class Carver {
             int surely_then = 0, maybe_then = 0, surely = 0, maybe = 0;
             walk.found.node_tests += views_.size();
             for (size_t v = 0; v < views_.size(); ++v) {
-                const NodeAnswer unseen = kernel::node_answers(views_[v], kernel::node_ball(views_[v], ball.i, ball.j, ball.k, ball.radius), near_, band_).unseen;
+                const NodeAnswer unseen =
+                    kernel::node_answers(views_[v], kernel::node_ball(views_[v], ball.i, ball.j, ball.k, ball.radius), near_, band_).unseen;
                 surely += unseen == NodeAnswer::In;
                 maybe += unseen != NodeAnswer::Out;
                 if (static_cast<int>(v) == before.views - 1) surely_then = surely, maybe_then = maybe;
@@ -523,8 +532,7 @@ class Carver {
         const kernel::LeafToCamera to_camera = kernel::leaf_to_camera(view, node.origin[0], node.origin[1], node.origin[2]);
         for_each_row([&](int at, int in_cell) {
             if (!(cells >> (in_cell >> 6) & 1)) return;
-            for (int k = 0; k < 4; ++k)
-                values[in_cell + k] = kernel::view_value(view, voxel_in_camera(to_camera, at + k), near_, band_f_);
+            for (int k = 0; k < 4; ++k) values[in_cell + k] = kernel::view_value(view, voxel_in_camera(to_camera, at + k), near_, band_f_);
         });
     }
     static kernel::Vec3 voxel_in_camera(const kernel::LeafToCamera& leaf, int at) {
@@ -623,7 +631,8 @@ class Carver {
         auto leaf = std::make_unique<MaskLeaf>(Coord(node.origin[0], node.origin[1], node.origin[2]), false, false);
         bool any = false;
         for (int at = 0; at < kLeafVoxels; ++at) {
-            if (node.certain_misses + static_cast<int>(open.largest[static_cast<size_t>(at)]) > options_.max_misses || (!node.seen && seen[at] < need_seen_)) continue;
+            if (node.certain_misses + static_cast<int>(open.largest[static_cast<size_t>(at)]) > options_.max_misses || (!node.seen && seen[at] < need_seen_))
+                continue;
             if (!in_range(node.origin, at)) continue;
             leaf->setValueOn(static_cast<openvdb::Index>(at));
             any = true;
@@ -660,7 +669,8 @@ void check_field(const std::string& name, const Intrinsics& k, const DistanceFie
     if (field.silhouette.samples.size() > 0x7fffffff) throw UsageError("carve: view " + name + ": more than 2^31 pixels");
     if (field.silhouette.empty() || field.mask_width != k.width_px || field.mask_height != k.height_px)
         throw UsageError("carve: view " + name + ": the distance field has not the camera's size");
-    if (options.occupancy && field.scale != 1) throw UsageError("carve: the binary model wants a sample a pixel, view " + name + " has a field-scale of " + std::to_string(field.scale));
+    if (options.occupancy && field.scale != 1)
+        throw UsageError("carve: the binary model wants a sample a pixel, view " + name + " has a field-scale of " + std::to_string(field.scale));
 }
 
 void check_carve(const std::vector<CarveInput>& inputs, const CarveOptions& o) {
@@ -676,15 +686,15 @@ void check_carve(const std::vector<CarveInput>& inputs, const CarveOptions& o) {
     need(o.min_seen >= 0 && o.min_seen <= 1, "min-seen is " + std::to_string(o.min_seen) + ", must be 0..1");
     need(o.half_width_vox >= 2 && o.half_width_vox <= 100, "half-width is " + std::to_string(o.half_width_vox) + " voxels, must be 2..100");
     if (o.brick)
-        for (size_t a = 0; a < 3; ++a)
-            need(o.brick->min[a] % 8 == 0 && o.brick->max[a] % 8 == 0, "the limits of a brick must be multiples of 8");
+        for (size_t a = 0; a < 3; ++a) need(o.brick->min[a] % 8 == 0 && o.brick->max[a] % 8 == 0, "the limits of a brick must be multiples of 8");
     if (!bad.empty()) throw UsageError("carve: " + bad);
     if (!o.lattice.origin_world.allFinite()) throw UsageError("carve: the origin is not finite");
     const Vec3d dims = o.bounds_world.sizes() / o.lattice.voxel_size;
     if (!(dims.maxCoeff() <= 65536))
         throw UsageError("carve: " + std::to_string(std::llround(dims.maxCoeff())) + " voxels along one side, at most 65536. Remedy: larger voxels");
     const Vec3d far = o.lattice.index_from_world(o.bounds_world.min()).cwiseAbs().cwiseMax(o.lattice.index_from_world(o.bounds_world.max()).cwiseAbs());
-    if (far.maxCoeff() > 1e9) throw UsageError("carve: the bounds are " + std::to_string(far.maxCoeff()) + " voxels from the origin, at most 1e9. Remedy: --origin near the object");
+    if (far.maxCoeff() > 1e9)
+        throw UsageError("carve: the bounds are " + std::to_string(far.maxCoeff()) + " voxels from the origin, at most 1e9. Remedy: --origin near the object");
     for (const CarveInput& i : inputs) {
         const Intrinsics& k = i.camera.intrinsics;
         if (i.field) check_field(i.name, k, *i.field, o);
@@ -693,7 +703,9 @@ void check_carve(const std::vector<CarveInput>& inputs, const CarveOptions& o) {
 
 void explain_empty(const std::vector<CarveInput>& inputs, const CarveOptions& options) {
     for (const CarveInput& input : inputs)
-        if (!input.field) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all views at once and names them");
+        if (!input.field)
+            throw ContradictionError(
+                "the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all views at once and names them");
     constexpr int kSide = 48;
     const auto n = inputs.size();
     std::vector<kernel::CarveView> views;
@@ -748,7 +760,8 @@ void explain_empty(const std::vector<CarveInput>& inputs, const CarveOptions& op
     throw ContradictionError("the hull is empty: every point in the bounds is background in at least " + std::to_string(tally.fewest) + " of " +
                              std::to_string(n) + " views. Where it is fewest, these views carve (share of such points): " + names +
                              ". Remedy: look at their masks and cameras, leave them out" +
-                             (tally.fewest <= kMaxMisses ? ", or allow --max-misses " + std::to_string(tally.fewest) : std::string()) + "; if those masks mean 'do not use', give them as --ignore-masks");
+                             (tally.fewest <= kMaxMisses ? ", or allow --max-misses " + std::to_string(tally.fewest) : std::string()) +
+                             "; if those masks mean 'do not use', give them as --ignore-masks");
 }
 
 namespace {
@@ -770,7 +783,8 @@ std::vector<OpenNode> root_nodes(const IndexBox& range) {
 }
 
 /// All views about some nodes. One batch or several: `fields_of` is null when the inputs hold all fields.
-std::vector<Found> ask_nodes(Carver& carver, std::vector<OpenNode> nodes, const std::vector<CarveInput>& inputs, size_t batch, const FieldSource* fields_of, const CarveOptions& options, Progress& progress) {
+std::vector<Found> ask_nodes(Carver& carver, std::vector<OpenNode> nodes, const std::vector<CarveInput>& inputs, size_t batch, const FieldSource* fields_of,
+                             const CarveOptions& options, Progress& progress) {
     std::vector<Found> found(nodes.size());
     const size_t batches = fields_of ? (inputs.size() + batch - 1) / batch : 1;
     progress.begin("carve", nodes.size() * batches);
@@ -906,17 +920,20 @@ CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& opt
     return run(inputs, inputs.size(), nullptr, options, progress);
 }
 
-CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource& fields_of, const CarveOptions& options, Progress& progress) {
+CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource& fields_of, const CarveOptions& options,
+                             Progress& progress) {
     if (batch == 0) throw UsageError("carve: a batch of no views");
     std::vector<CarveInput> bare = inputs;
     for (CarveInput& input : bare) input.field = nullptr;
     return run(bare, batch, &fields_of, options, progress);
 }
 
-CarveResult extend_hull(openvdb::FloatGrid::Ptr hull, size_t known, const std::vector<CarveInput>& inputs, const FieldSource& fields_of, const CarveOptions& options, Progress& progress) {
+CarveResult extend_hull(openvdb::FloatGrid::Ptr hull, size_t known, const std::vector<CarveInput>& inputs, const FieldSource& fields_of,
+                        const CarveOptions& options, Progress& progress) {
     check_carve(inputs, options);
     if (options.occupancy || options.brick) throw UsageError("extend_hull: of a whole hull only, neither of an occupancy nor of a brick");
-    if (known == 0 || known >= inputs.size()) throw UsageError("extend_hull: of " + std::to_string(inputs.size()) + " views " + std::to_string(known) + " are said to have made the hull");
+    if (known == 0 || known >= inputs.size())
+        throw UsageError("extend_hull: of " + std::to_string(inputs.size()) + " views " + std::to_string(known) + " are said to have made the hull");
     for (size_t i = known; i < inputs.size(); ++i)
         if (!inputs[i].field) throw UsageError("extend_hull: view " + inputs[i].name + " has no distance field");
     const auto band = static_cast<float>(options.half_width_vox * options.lattice.voxel_size);

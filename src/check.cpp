@@ -45,7 +45,9 @@ constexpr double kGood = 0.96;  ///< below it other readings of the cameras are 
 /// Which way is up, where the file does not say it, or says another.
 void guess_up(const Views& views, CheckResult& out) {
     out.up_guessed = axis_near(out.up_world);
-    if (views.up.empty() && !out.up_guessed.empty()) find(out, Severity::Note, "cameras", "the file does not say which way is up; the cameras stand upright along " + out.up_guessed + ". Remedy: --up " + out.up_guessed);
+    if (views.up.empty() && !out.up_guessed.empty())
+        find(out, Severity::Note, "cameras",
+             "the file does not say which way is up; the cameras stand upright along " + out.up_guessed + ". Remedy: --up " + out.up_guessed);
     if (const std::string doubted = doubt_of_up(views.cameras(), views.up); !doubted.empty()) find(out, Severity::Warning, "cameras", doubted);
 }
 
@@ -74,11 +76,14 @@ void check_cameras(const Views& views, CheckResult& out) {
         const bool most = away.size() * 2 > cameras.size();
         find(out, most ? Severity::Error : Severity::Warning, "cameras",
              std::to_string(away.size()) + " of " + std::to_string(cameras.size()) + " cameras look away from where the others look (" + some_of(away) + ")" +
-                 (most ? ": the camera file's axes are probably another program's. Remedy: look at which way round the poses are and which axes they have; check with masks tries other readings" : ". Remedy: look at their poses"));
+                 (most ? ": the camera file's axes are probably another program's. Remedy: look at which way round the poses are and which axes they have; "
+                         "check with masks tries other readings"
+                       : ". Remedy: look at their poses"));
     }
     out.up_world = mean_up(cameras);
     if (out.up_world.isZero()) {
-        find(out, Severity::Warning, "cameras", "the images' up directions cancel each other: cameras all around, or turned upside down by turns; azimuths are not judged");
+        find(out, Severity::Warning, "cameras",
+             "the images' up directions cancel each other: cameras all around, or turned upside down by turns; azimuths are not judged");
         return;
     }
     std::vector<double> azimuths = azimuths_rad(cameras, *target, out.up_world);
@@ -96,12 +101,16 @@ void check_cameras(const Views& views, CheckResult& out) {
     for (size_t i = 1; i < azimuths.size(); ++i) out.largest_gap_deg = std::max(out.largest_gap_deg, azimuths[i] - azimuths[i - 1]);
     // A view and the one from behind show the same silhouette (but for perspective), so half a turn may suffice.
     if (out.largest_gap_deg > 200)
-        find(out, Severity::Warning, "cameras", "no view within " + fixed(out.largest_gap_deg, 0) + " degrees of azimuth: the hull will bulge there. Remedy: views from that side");
+        find(out, Severity::Warning, "cameras",
+             "no view within " + fixed(out.largest_gap_deg, 0) + " degrees of azimuth: the hull will bulge there. Remedy: views from that side");
     if (out.elevation_max_deg - out.elevation_min_deg < 5)
-        find(out, Severity::Warning, "cameras", "all views are at one height (" + fixed(out.elevation_min_deg, 0) + " to " + fixed(out.elevation_max_deg, 0) +
-                               " degrees): top and bottom are bounded by cones only. Remedy: a second ring from above, which helps more than twice as many views");
+        find(out, Severity::Warning, "cameras",
+             "all views are at one height (" + fixed(out.elevation_min_deg, 0) + " to " + fixed(out.elevation_max_deg, 0) +
+                 " degrees): top and bottom are bounded by cones only. Remedy: a second ring from above, which helps more than twice as many views");
     if (out.look_at_miss > 0.2)
-        find(out, Severity::Warning, "cameras", "the optical axes miss their common point by " + fixed(100 * out.look_at_miss, 0) + " % of the distance: views of different scenes, or wrong poses?");
+        find(out, Severity::Warning, "cameras",
+             "the optical axes miss their common point by " + fixed(100 * out.look_at_miss, 0) +
+                 " % of the distance: views of different scenes, or wrong poses?");
     guess_up(views, out);
 }
 
@@ -121,7 +130,9 @@ bool try_readings(const Views& views, const std::vector<MaskView>& seen, const s
     const bool of_cameras = !best->mirrored && std::is_sorted(best->silhouette.begin(), best->silhouette.end());
     find(out, severity, "cameras",
          what + "; they fit " + words + " (median IoU " + fixed(best->overlap, 3) + " instead of " + fixed(own.overlap, 3) + "). Remedy: " +
-             (of_cameras ? "--write-cameras FILE writes them so, for --cameras FILE" : best->mirrored ? "mirror the images back, or, where their order may be wrong, put that right" : "give each image the name that the camera file has for it"));
+             (of_cameras       ? "--write-cameras FILE writes them so, for --cameras FILE"
+              : best->mirrored ? "mirror the images back, or, where their order may be wrong, put that right"
+                               : "give each image the name that the camera file has for it"));
     if (!of_cameras) return true;
     out.better = views;
     out.better->sittings = {Sitting{}};
@@ -175,7 +186,8 @@ double overlap_of(ImageView<uint8_t> a, ImageView<uint8_t> b) {
 }
 
 /// Views that contradict all others: by name, and with the view whose mask would fit in the place of their own.
-void blame(const std::vector<size_t>& broken, const std::optional<Hull>& rest, const Views& views, const std::vector<MaskView>& seen, const std::string& more, Severity severity, CheckResult& out) {
+void blame(const std::vector<size_t>& broken, const std::optional<Hull>& rest, const Views& views, const std::vector<MaskView>& seen, const std::string& more,
+           Severity severity, CheckResult& out) {
     std::vector<std::string> names;
     bool other_fits = false;
     for (const size_t i : broken) {
@@ -189,8 +201,10 @@ void blame(const std::vector<size_t>& broken, const std::optional<Hull>& rest, c
         names.back() += " (whose camera the mask of " + views.views[best].name + " fits)";
         other_fits = true;
     }
-    find(out, severity, "masks", counted(broken.size(), "mask") + " against all others: " + some_of(names) + more + ". Remedy: " + (other_fits ? "give each image and mask the name that the camera file has for it; else " : "") +
-                                     "mend or delete what is wrong, or reconstruct --repair-masks; where a mask is right, its view's camera is wrong (moved, or another view's)");
+    find(out, severity, "masks",
+         counted(broken.size(), "mask") + " against all others: " + some_of(names) + more +
+             ". Remedy: " + (other_fits ? "give each image and mask the name that the camera file has for it; else " : "") +
+             "mend or delete what is wrong, or reconstruct --repair-masks; where a mask is right, its view's camera is wrong (moved, or another view's)");
 }
 
 constexpr double kFarOff_focal = 0.1;  ///< a hull made with such a focal length is not the object's any more
@@ -212,11 +226,15 @@ void check_common_error(const Views& views, const std::vector<MaskView>& seen, C
         const double d = off(0) ? out.shift_px[0] : out.shift_px[1];
         const bool half = std::fabs(std::fabs(d) - 0.5) < 0.15 && (!(off(0) && off(1)) || std::fabs(out.shift_px[0] - out.shift_px[1]) < 0.2);
         const auto said = [&](int a) { return open[a] ? std::string("?") : fixed(out.shift_px[a]); };
-        find(out, Severity::Warning, "cameras", "silhouettes fit better with all principal points moved by (" + said(0) + ", " + said(1) + ") px" + better + (half ? ": half a pixel, as where the first pixel's centre is counted otherwise" : "") + ". Remedy: " +
-                                                    (half ? std::string("--pixel-centre ") + (d > 0 ? "integer" : "corner") : "`vdbcarve align SCENE --method refine`"));
+        find(out, Severity::Warning, "cameras",
+             "silhouettes fit better with all principal points moved by (" + said(0) + ", " + said(1) + ") px" + better +
+                 (half ? ": half a pixel, as where the first pixel's centre is counted otherwise" : "") +
+                 ". Remedy: " + (half ? std::string("--pixel-centre ") + (d > 0 ? "integer" : "corner") : "`vdbcarve align SCENE --method refine`"));
     }
     if (std::isfinite(out.focal_factor) && std::fabs(out.focal_factor - 1) > std::max(0.01, 4 * e->sd[2]))
-        find(out, std::fabs(out.focal_factor - 1) > kFarOff_focal ? Severity::Error : Severity::Warning, "cameras", "silhouettes fit better with all focal lengths times " + fixed(out.focal_factor, 3) + better + ": were images scaled or cropped after calibration? Remedy: cameras for these images, or `vdbcarve align SCENE --method refine`");
+        find(out, std::fabs(out.focal_factor - 1) > kFarOff_focal ? Severity::Error : Severity::Warning, "cameras",
+             "silhouettes fit better with all focal lengths times " + fixed(out.focal_factor, 3) + better +
+                 ": were images scaled or cropped after calibration? Remedy: cameras for these images, or `vdbcarve align SCENE --method refine`");
 }
 
 void check_size(const Views& views, const Mesh& mesh, CheckResult& out) {
@@ -230,7 +248,9 @@ void check_size(const Views& views, const Mesh& mesh, CheckResult& out) {
     }
     const double largest_m = out.object_size.maxCoeff() * *metres;
     if (largest_m < 1e-3 || largest_m > 50)
-        find(out, Severity::Warning, "cameras", "an object of " + text_of("%.3g %s", out.object_size.maxCoeff(), views.units.c_str()) + (largest_m < 1e-3 ? " is hardly visible" : " is a building") + ": is the unit meant? Remedy: --units");
+        find(out, Severity::Warning, "cameras",
+             "an object of " + text_of("%.3g %s", out.object_size.maxCoeff(), views.units.c_str()) +
+                 (largest_m < 1e-3 ? " is hardly visible" : " is a building") + ": is the unit meant? Remedy: --units");
 }
 
 void check_masks(const CheckOptions& options, const Views& views, CheckResult& out, Progress& progress) {
@@ -255,8 +275,10 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
     out.looked_at.push_back("masks");
     out.soft_share = 1 - static_cast<double>(hard.size()) / static_cast<double>(used);
     if (!hard.empty())
-        find(out, Severity::Note, "masks", (hard.size() == used ? std::string("all masks are") : counted(hard.size(), "mask") + " of " + std::to_string(used) + (hard.size() == 1 ? " is" : " are")) +
-                                               " hard, black and white: contours are known to half a pixel, and surfaces are filtered. Remedy: masks with grey edges, where they can be had");
+        find(out, Severity::Note, "masks",
+             (hard.size() == used ? std::string("all masks are")
+                                  : counted(hard.size(), "mask") + " of " + std::to_string(used) + (hard.size() == 1 ? " is" : " are")) +
+                 " hard, black and white: contours are known to half a pixel, and surfaces are filtered. Remedy: masks with grey edges, where they can be had");
     if (!views.posed) return;
     std::string died;
     const std::optional<Hull> hull = hull_of(views, seen, options, died, progress);
@@ -264,12 +286,15 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
         check_size(views, hull->mesh, out);
         for (size_t i = 0; i < seen.size(); ++i)
             if (!seen[i].coverage.empty()) out.agreements.push_back({views.views[i].name, hull->agreements[i]});
-        std::stable_sort(out.agreements.begin(), out.agreements.end(), [](const ViewCheck& a, const ViewCheck& b) { return a.agreement.iou < b.agreement.iou; });
+        std::stable_sort(out.agreements.begin(), out.agreements.end(),
+                         [](const ViewCheck& a, const ViewCheck& b) { return a.agreement.iou < b.agreement.iou; });
         out.median_iou = hull->median_iou;
     }
     const bool fits = out.median_iou >= kFits;
     const Severity severity = fits ? Severity::Warning : Severity::Error;
-    const std::string what = hull ? "the hull of all views covers its own silhouettes poorly (median IoU " + fixed(out.median_iou, 3) + "): cameras and masks do not fit together" : died;
+    const std::string what =
+        hull ? "the hull of all views covers its own silhouettes poorly (median IoU " + fixed(out.median_iou, 3) + "): cameras and masks do not fit together"
+             : died;
     if (out.median_iou < kGood && try_readings(views, seen, what, severity, out, progress)) return;
     const std::vector<size_t> broken = find_broken_masks(views.names(), all, seen, progress);
     if (!broken.empty()) {
@@ -279,21 +304,33 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
         std::string why;
         const std::optional<Hull> rest = hull_of(views, others, options, why, progress);
         const bool theirs = rest && rest->median_iou >= kFits;
-        blame(broken, rest, views, seen, fits ? "" : theirs ? "; without " + std::string(broken.size() == 1 ? "it" : "them") + " the others fit (median IoU " + fixed(rest->median_iou, 3) + ")" : "", !fits && theirs ? Severity::Error : Severity::Warning, out);
+        blame(broken, rest, views, seen,
+              fits     ? ""
+              : theirs ? "; without " + std::string(broken.size() == 1 ? "it" : "them") + " the others fit (median IoU " + fixed(rest->median_iou, 3) + ")"
+                       : "",
+              !fits && theirs ? Severity::Error : Severity::Warning, out);
         if (!fits && theirs) return;
     }
     if (!fits) {
-        find(out, Severity::Error, "cameras", what + "; no other reading of the poses fits either. Remedy: check poses, focal length and which mask belongs to which view; `vdbcarve align SCENE --method refine` where cameras are nearly right, --cameras none to find them");
+        find(out, Severity::Error, "cameras",
+             what +
+                 "; no other reading of the poses fits either. Remedy: check poses, focal length and which mask belongs to which view; `vdbcarve align SCENE "
+                 "--method refine` where cameras are nearly right, --cameras none to find them");
         return;
     }
     std::vector<std::string> weak;
     for (const ViewCheck& v : out.agreements)
         if (v.agreement.iou < std::min(0.95, out.median_iou - 0.02)) weak.push_back(v.name + " (IoU " + fixed(v.agreement.iou, 3) + ")");
-    if (!weak.empty()) find(out, Severity::Warning, "masks", "views whose silhouettes the others contradict: " + some_of(weak) + ". Remedy: mend the worst first; one bad mask also eats into its neighbours' agreement");
+    if (!weak.empty())
+        find(out, Severity::Warning, "masks",
+             "views whose silhouettes the others contradict: " + some_of(weak) +
+                 ". Remedy: mend the worst first; one bad mask also eats into its neighbours' agreement");
     std::vector<std::string> thin;
     for (const ViewCheck& v : out.agreements)
         if (v.agreement.thin_length_lost_px > 20) thin.push_back(v.name + " (" + std::to_string(v.agreement.thin_length_lost_px) + " px)");
-    if (!thin.empty()) find(out, Severity::Warning, "masks", "thin parts of these masks are carved away by other views: " + some_of(thin) + ". Remedy: mend the masks there, or --max-misses 1");
+    if (!thin.empty())
+        find(out, Severity::Warning, "masks",
+             "thin parts of these masks are carved away by other views: " + some_of(thin) + ". Remedy: mend the masks there, or --max-misses 1");
     if (broken.empty()) check_common_error(views, seen, out, progress);
 }
 
@@ -320,7 +357,8 @@ void check_images(const Views& views, CheckResult& out, Progress& progress) {
             const Intrinsics& k = v.camera.intrinsics;
             s.decoded = true;
             s.grey = photo.channels == 1;
-            if (photo.width != k.width_px || photo.height != k.height_px) s.error = other_size(v.image_path.string(), photo.width, photo.height, v.name, k.width_px, k.height_px);
+            if (photo.width != k.width_px || photo.height != k.height_px)
+                s.error = other_size(v.image_path.string(), photo.width, photo.height, v.name, k.width_px, k.height_px);
             s.sharpness = io::sharpness(photo);
             double sum = 0;
             for (const uint8_t p : photo.data) sum += p;
@@ -349,7 +387,8 @@ void check_images(const Views& views, CheckResult& out, Progress& progress) {
         if (!fresh) find(out, Severity::Warning, "images", name + " is the very same picture as " + other->second + ". Remedy: take one of them away");
     }
     // One line for what is wrong with all in the same way.
-    if (errors.size() > 3) find(out, Severity::Error, "images", counted(errors.size(), "image") + " cannot be used, the first: " + errors.front(), ExitCode::Input);
+    if (errors.size() > 3)
+        find(out, Severity::Error, "images", counted(errors.size(), "image") + " cannot be used, the first: " + errors.front(), ExitCode::Input);
     else
         for (const std::string& e : errors) find(out, Severity::Error, "images", e, ExitCode::Input);
     const double sharp = median(sharpness), bright = median(brightness);
@@ -358,10 +397,18 @@ void check_images(const Views& views, CheckResult& out, Progress& progress) {
         if (seen[i].sharpness < 0.2 * sharp) blurred.push_back(views.views[i].name);
         if (seen[i].brightness > 1.5 * bright || seen[i].brightness < bright / 1.5) exposed.push_back(views.views[i].name);
     }
-    if (!blurred.empty()) find(out, Severity::Warning, "images", counted(blurred.size(), "image") + " much less sharp than the others: " + some_of(blurred) + ". Remedy: take them away, or --color-leave-out views of them");
-    if (!exposed.empty()) find(out, Severity::Note, "images", counted(exposed.size(), "image") + " much brighter or darker than the others: " + some_of(exposed) + "; colours are evened out (--exposure)");
+    if (!blurred.empty())
+        find(out, Severity::Warning, "images",
+             counted(blurred.size(), "image") + " much less sharp than the others: " + some_of(blurred) +
+                 ". Remedy: take them away, or --color-leave-out views of them");
+    if (!exposed.empty())
+        find(out, Severity::Note, "images",
+             counted(exposed.size(), "image") + " much brighter or darker than the others: " + some_of(exposed) + "; colours are evened out (--exposure)");
     if (!turned.empty()) find(out, Severity::Note, "images", counted(turned.size(), "image") + " turned as EXIF says: " + some_of(turned));
-    if (!as_stored.empty()) find(out, Severity::Note, "images", "EXIF says that " + counted(as_stored.size(), "image") + " should be turned, but the cameras have the size of the pixels as stored, which are taken: " + some_of(as_stored));
+    if (!as_stored.empty())
+        find(out, Severity::Note, "images",
+             "EXIF says that " + counted(as_stored.size(), "image") +
+                 " should be turned, but the cameras have the size of the pixels as stored, which are taken: " + some_of(as_stored));
     if (grey && grey < out.images_read) find(out, Severity::Note, "images", counted(grey, "image") + " of " + std::to_string(out.images_read) + " in grey");
 }
 
@@ -394,7 +441,8 @@ CheckResult check(const CheckOptions& options, Progress& progress) {
     if (!views.posed) find(out, Severity::Note, "cameras", "there are no cameras yet. Remedy: vdbcarve align, or reconstruct, which finds them");
     if (options.images) check_images(views, out, progress);
     if (out.images_read) out.looked_at.push_back("images");
-    const bool readable = std::none_of(out.findings.begin(), out.findings.end(), [](const Finding& f) { return f.severity == Severity::Error && f.code == ExitCode::Input; });
+    const bool readable =
+        std::none_of(out.findings.begin(), out.findings.end(), [](const Finding& f) { return f.severity == Severity::Error && f.code == ExitCode::Input; });
     if (options.masks && readable) check_masks(options, views, out, progress);
     // Of poses that are to be read in another way, what they are then.
     if (options.cameras && views.posed) {
@@ -407,7 +455,9 @@ CheckResult check(const CheckOptions& options, Progress& progress) {
     std::vector<std::string> unused;
     for (const View& v : views.views)
         if (!v.unused.empty()) unused.push_back(v.name + " (" + v.unused + ")");
-    if (!unused.empty()) find(out, Severity::Warning, "cameras", counted(unused.size(), "view") + " not used, as the camera file says: " + some_of(unused) + ". Remedy: mend the masks and align again");
+    if (!unused.empty())
+        find(out, Severity::Warning, "cameras",
+             counted(unused.size(), "view") + " not used, as the camera file says: " + some_of(unused) + ". Remedy: mend the masks and align again");
     std::stable_sort(out.findings.begin(), out.findings.end(), [](const Finding& a, const Finding& b) { return a.severity > b.severity; });
     for (const ExitCode code : {ExitCode::Undetermined, ExitCode::Contradiction, ExitCode::Input})
         for (const Finding& f : out.findings)
@@ -464,29 +514,38 @@ std::string check_json(const CheckResult& r) {
 std::string check_text(const CheckResult& r) {
     std::string out = std::to_string(r.views) + " views";
     if (r.distance_median > 0) {
-        out += "; they look at (" + fixed(r.look_at_world.x(), 3) + ", " + fixed(r.look_at_world.y(), 3) + ", " + fixed(r.look_at_world.z(), 3) + "), missing it by " +
-               fixed(100 * r.look_at_miss, 1) + " % of their distance\n";
-        out += "distance " + fixed(r.distance_median, 3) + " (spread " + fixed(100 * r.distance_spread, 0) + " %), horizontal field of view " + fixed(r.fov_deg, 1) + " degrees\n";
+        out += "; they look at (" + fixed(r.look_at_world.x(), 3) + ", " + fixed(r.look_at_world.y(), 3) + ", " + fixed(r.look_at_world.z(), 3) +
+               "), missing it by " + fixed(100 * r.look_at_miss, 1) + " % of their distance\n";
+        out += "distance " + fixed(r.distance_median, 3) + " (spread " + fixed(100 * r.distance_spread, 0) + " %), horizontal field of view " +
+               fixed(r.fov_deg, 1) + " degrees\n";
         if (r.up_world.norm() > 0)
-            out += "up (" + fixed(r.up_world.x()) + ", " + fixed(r.up_world.y()) + ", " + fixed(r.up_world.z()) + "), elevations " + fixed(r.elevation_min_deg, 0) + " to " +
-                   fixed(r.elevation_max_deg, 0) + " degrees, largest gap between azimuths " + fixed(r.largest_gap_deg, 0) + " degrees\n";
+            out += "up (" + fixed(r.up_world.x()) + ", " + fixed(r.up_world.y()) + ", " + fixed(r.up_world.z()) + "), elevations " +
+                   fixed(r.elevation_min_deg, 0) + " to " + fixed(r.elevation_max_deg, 0) + " degrees, largest gap between azimuths " +
+                   fixed(r.largest_gap_deg, 0) + " degrees\n";
     } else {
         out += "\n";
     }
     if (r.object_size.maxCoeff() > 0)
-        out += text_of("the object is %.4g x %.4g x %.4g %s along x, y, z\n", r.object_size.x(), r.object_size.y(), r.object_size.z(), r.units_said.empty() ? "units (which is not said)" : r.units_said.c_str());
+        out += text_of("the object is %.4g x %.4g x %.4g %s along x, y, z\n", r.object_size.x(), r.object_size.y(), r.object_size.z(),
+                       r.units_said.empty() ? "units (which is not said)" : r.units_said.c_str());
     if (!r.agreements.empty()) {
-        out += "silhouettes of the hull against the masks: median IoU " + fixed(r.median_iou, 4) + (r.contour_off_px > 0 ? ", contours " + fixed(r.contour_off_px) + " px off the others' hull" : "") + "; worst:\n";
+        out += "silhouettes of the hull against the masks: median IoU " + fixed(r.median_iou, 4) +
+               (r.contour_off_px > 0 ? ", contours " + fixed(r.contour_off_px) + " px off the others' hull" : "") + "; worst:\n";
         for (size_t i = 0; i < r.agreements.size() && i < 5; ++i) {
             const SilhouetteAgreement& a = r.agreements[i].agreement;
-            out += "  " + r.agreements[i].name + "  IoU " + fixed(a.iou, 4) + ", contour p95 " + fixed(a.contour_p95_px, 1) + " px, p99 " + fixed(a.contour_p99_px, 1) + " px, largest missed blob " +
-                   std::to_string(a.largest_missed_blob_px) + " px, thin length lost " + std::to_string(a.thin_length_lost_px) + " px\n";
+            out += "  " + r.agreements[i].name + "  IoU " + fixed(a.iou, 4) + ", contour p95 " + fixed(a.contour_p95_px, 1) + " px, p99 " +
+                   fixed(a.contour_p99_px, 1) + " px, largest missed blob " + std::to_string(a.largest_missed_blob_px) + " px, thin length lost " +
+                   std::to_string(a.thin_length_lost_px) + " px\n";
         }
     }
     bool wrong = false;
     for (const Finding& f : r.findings) {
         wrong |= f.severity != Severity::Note;
-        out += std::string(f.severity == Severity::Error ? (f.code == ExitCode::Contradiction ? "CONTRADICTION" : f.code == ExitCode::Undetermined ? "UNDETERMINED" : "ERROR") : name_of(f.severity)) + ": " + f.text + "\n";
+        out += std::string(f.severity == Severity::Error ? (f.code == ExitCode::Contradiction  ? "CONTRADICTION"
+                                                            : f.code == ExitCode::Undetermined ? "UNDETERMINED"
+                                                                                               : "ERROR")
+                                                         : name_of(f.severity)) +
+               ": " + f.text + "\n";
         if (!f.remedy.empty()) out += "  remedy: " + f.remedy + "\n";
     }
     if (!wrong) {

@@ -10,7 +10,8 @@
 
 namespace vdbcarve {
 
-openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, int resolution, double min_seen, Progress& progress, int max_misses) {
+openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks,
+                                    int resolution, double min_seen, Progress& progress, int max_misses) {
     openvdb::initialize();
     std::vector<CarveInput> inputs;
     std::vector<MaskView> used;

@@ -13,8 +13,9 @@
 
 namespace vdbcarve {
 
-/// Level set of the hull in automatic bounds, `resolution` voxels along their longest side; `max_misses` views may show background where it stays. Views with an empty mask are left out. Throws
-/// ContradictionError where nothing is left.
-openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, int resolution, double min_seen, Progress& progress, int max_misses = 0);
+/// Level set of the hull in automatic bounds, `resolution` voxels along their longest side; `max_misses` views may show background where it stays. Views with
+/// an empty mask are left out. Throws ContradictionError where nothing is left.
+openvdb::FloatGrid::Ptr coarse_hull(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks,
+                                    int resolution, double min_seen, Progress& progress, int max_misses = 0);
 
 }  // namespace vdbcarve

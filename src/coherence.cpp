@@ -18,7 +18,12 @@ constexpr float kSaysNothing = -1e9f;
 class Lookup {
   public:
     explicit Lookup(const CoherenceView& view)
-        : field_(view.field->silhouette.view()), scale_(static_cast<float>(view.field->scale)), inverse_scale_(1 / scale_), unit_(scale_ / kernel::kFieldUnits), width_(static_cast<float>(view.width_px)), height_(static_cast<float>(view.height_px)) {
+        : field_(view.field->silhouette.view()),
+          scale_(static_cast<float>(view.field->scale)),
+          inverse_scale_(1 / scale_),
+          unit_(scale_ / kernel::kFieldUnits),
+          width_(static_cast<float>(view.width_px)),
+          height_(static_cast<float>(view.height_px)) {
         for (int s = 0; s < 4; ++s) open_[s] = view.open[s];
         any_open_ = open_[0] || open_[1] || open_[2] || open_[3];
     }
@@ -121,7 +126,8 @@ class LineSearch {
             const float half = half_length / kFirst;
             intervals_.clear();
             lists_.assign(order_.begin(), order_.end());
-            for (int s = 0; s < kFirst; ++s) intervals_.push_back({middle - half_length + (2 * static_cast<float>(s) + 1) * half, half, 0, static_cast<int>(order_.size())});
+            for (int s = 0; s < kFirst; ++s)
+                intervals_.push_back({middle - half_length + (2 * static_cast<float>(s) + 1) * half, half, 0, static_cast<int>(order_.size())});
             for (size_t next = 0; next < intervals_.size() && best_ > enough; ++next) halve(intervals_[next]);
             polish(half / 16);
         }
@@ -263,7 +269,9 @@ std::vector<ContourPoint> contour_of(const CoherenceView& view, int index) {
     // The contour does not stop at the frame: where it is cut, the border is no contour.
     const float margin = 2 * scale;
     const auto add = [&](float x, float y, int sample_x, int sample_y) {
-        if ((view.open[0] && x < margin) || (view.open[1] && y < margin) || (view.open[2] && x > static_cast<float>(view.width_px) - margin) || (view.open[3] && y > static_cast<float>(view.height_px) - margin)) return;
+        if ((view.open[0] && x < margin) || (view.open[1] && y < margin) || (view.open[2] && x > static_cast<float>(view.width_px) - margin) ||
+            (view.open[3] && y > static_cast<float>(view.height_px) - margin))
+            return;
         if (!ignored.empty() && ignored.at(sample_x, sample_y) > -2) return;
         all.push_back({index, x, y});
     };
@@ -271,14 +279,16 @@ std::vector<ContourPoint> contour_of(const CoherenceView& view, int index) {
         for (int x = 0; x < f.width; ++x) {
             const int16_t* s = f.samples.data() + static_cast<size_t>(y) * static_cast<size_t>(f.width) + x;
             const float px = (static_cast<float>(f.x0 + x) + 0.5f) * scale, py = (static_cast<float>(f.y0 + y) + 0.5f) * scale;
-            if (x + 1 < f.width && (s[0] <= 0) != (s[1] <= 0)) add(px + scale * static_cast<float>(s[0]) / static_cast<float>(s[0] - s[1]), py, f.x0 + x, f.y0 + y);
-            if (y + 1 < f.height && (s[0] <= 0) != (s[f.width] <= 0)) add(px, py + scale * static_cast<float>(s[0]) / static_cast<float>(s[0] - s[f.width]), f.x0 + x, f.y0 + y);
+            if (x + 1 < f.width && (s[0] <= 0) != (s[1] <= 0))
+                add(px + scale * static_cast<float>(s[0]) / static_cast<float>(s[0] - s[1]), py, f.x0 + x, f.y0 + y);
+            if (y + 1 < f.height && (s[0] <= 0) != (s[f.width] <= 0))
+                add(px, py + scale * static_cast<float>(s[0]) / static_cast<float>(s[0] - s[f.width]), f.x0 + x, f.y0 + y);
         }
     return all;
 }
 
-std::vector<Touch> find_touches(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const std::vector<ContourPoint>& points, const SearchOptions& options,
-                                const std::vector<Touch>& before) {
+std::vector<Touch> find_touches(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const std::vector<ContourPoint>& points,
+                                const SearchOptions& options, const std::vector<Touch>& before) {
     const size_t n = views.size();
     std::vector<Lookup> lookups;
     std::vector<size_t> asked;
@@ -305,7 +315,8 @@ std::vector<Touch> find_touches(const std::vector<CoherenceView>& views, const s
                 const size_t k = asked[a];
                 if (k == own) continue;
                 const Vec3d o = image_from_world[k] * (camera.centre - cameras[k].centre), d = image_from_world[k] * along;
-                search.traces.push_back({static_cast<float>(o.x()), static_cast<float>(o.y()), static_cast<float>(o.z()), static_cast<float>(d.x()), static_cast<float>(d.y()), static_cast<float>(d.z()), &lookups[a]});
+                search.traces.push_back({static_cast<float>(o.x()), static_cast<float>(o.y()), static_cast<float>(o.z()), static_cast<float>(d.x()),
+                                         static_cast<float>(d.y()), static_cast<float>(d.z()), &lookups[a]});
             }
             const double length = along.norm();
             const double middle = -camera.centre.dot(along) / (length * length);
@@ -319,7 +330,8 @@ Vec3d touch_position(const OrbitCamera& camera, const ContourPoint& point, doubl
     return camera.centre + depth * (camera.camera_from_world.transpose() * sight(camera, point));
 }
 
-std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point, const Touch& touch, double reach_px, size_t most, int misses) {
+std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point,
+                                 const Touch& touch, double reach_px, size_t most, int misses) {
     const OrbitCamera& own = cameras[static_cast<size_t>(point.view)];
     const Vec3d m = sight(own, point), along = own.camera_from_world.transpose() * m;
     const Vec3d position = own.centre + touch.depth * along;
@@ -341,7 +353,8 @@ std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const 
     }
     // The farthest first, those that do not count left out.
     const size_t left_out = std::min(static_cast<size_t>(misses), images.empty() ? 0 : images.size() - 1), wanted = std::min(images.size(), left_out + most);
-    std::partial_sort(images.begin(), images.begin() + static_cast<long>(wanted), images.end(), [](const Image& a, const Image& b) { return a.distance_px != b.distance_px ? a.distance_px > b.distance_px : a.view < b.view; });
+    std::partial_sort(images.begin(), images.begin() + static_cast<long>(wanted), images.end(),
+                      [](const Image& a, const Image& b) { return a.distance_px != b.distance_px ? a.distance_px > b.distance_px : a.view < b.view; });
     std::vector<Support> out;
     for (size_t i = left_out; i < wanted && images[i].distance_px >= images[left_out].distance_px - reach_px; ++i) {
         const auto& [distance_px, k, u, v, x] = images[i];

@@ -53,21 +53,22 @@ struct SearchOptions {
 
 /// Touches of all points, by branch and bound. `before` (same size, or empty) holds those of a nearby state, from which the search starts.
 /// Points in parallel; each result depends on its own input only.
-std::vector<Touch> find_touches(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const std::vector<ContourPoint>& points, const SearchOptions& options,
-                                const std::vector<Touch>& before);
+std::vector<Touch> find_touches(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const std::vector<ContourPoint>& points,
+                                const SearchOptions& options, const std::vector<Touch>& before);
 
 /// A silhouette that is among the farthest at a touch: how its distance changes. The residual is the least over the line of the largest of
 /// these, so near the touch it is min over t of max over supports of (distance + slope t + derivatives).
 struct Support {
     int view = -1;
     double distance_px = 0;
-    double slope = 0;                          ///< along the line, pixels a unit of depth
-    double by_own[kCameraDirections] = {};     ///< by the camera whose contour point it is
-    double by_view[kCameraDirections] = {};    ///< by the silhouette's
+    double slope = 0;                        ///< along the line, pixels a unit of depth
+    double by_own[kCameraDirections] = {};   ///< by the camera whose contour point it is
+    double by_view[kCameraDirections] = {};  ///< by the silhouette's
 };
 
 /// All silhouettes within `reach_px` of the farthest at the touch, at most `most`, the farthest first; the `misses` farthest of all do not count.
-std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point, const Touch& touch, double reach_px, size_t most, int misses = 0);
+std::vector<Support> supports_of(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& cameras, const ContourPoint& point,
+                                 const Touch& touch, double reach_px, size_t most, int misses = 0);
 
 /// The least over |t| <= reach of max over lines of (values[i] + slopes[i] t): the one or two lines that hold it there, at which t.
 struct Minimax {

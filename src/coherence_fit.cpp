@@ -114,7 +114,8 @@ TrackNormal normal_of_tracks(const CoherenceFit& f, const CoherencePass& pass, s
             by_place.block<2, 3>(row, 0) = weight * image.by_place;
             for (const CameraColumn& c : columns[view]) {
                 const auto column = std::lower_bound(r.parameters.begin(), r.parameters.end(), c.parameter) - r.parameters.begin();
-                for (int d = 0; d < kCameraDirections; ++d) by.block<2, 1>(row, column) += weight * c.direction[static_cast<size_t>(d)] * image.by_camera.col(d);
+                for (int d = 0; d < kCameraDirections; ++d)
+                    by.block<2, 1>(row, column) += weight * c.direction[static_cast<size_t>(d)] * image.by_camera.col(d);
             }
         }
         const Eigen::MatrixXd q = Eigen::HouseholderQR<Eigen::MatrixXd>(by_place).householderQ();
@@ -128,7 +129,8 @@ TrackNormal normal_of_tracks(const CoherenceFit& f, const CoherencePass& pass, s
     for (const Reduced& r : all)
         for (size_t k = 0; k < r.parameters.size(); ++k) {
             out.gradient[r.parameters[k]] += r.gradient[static_cast<Eigen::Index>(k)];
-            for (size_t l = 0; l < r.parameters.size(); ++l) out.curvature(r.parameters[k], r.parameters[l]) += r.curvature(static_cast<Eigen::Index>(k), static_cast<Eigen::Index>(l));
+            for (size_t l = 0; l < r.parameters.size(); ++l)
+                out.curvature(r.parameters[k], r.parameters[l]) += r.curvature(static_cast<Eigen::Index>(k), static_cast<Eigen::Index>(l));
         }
     // So that the prediction agrees with the cost at x = 0, Huber's linear parts included.
     out.cost = track_cost(f, pass);
@@ -149,10 +151,10 @@ double cost_of(const CoherenceFit& f, const CoherencePass& pass) {
 /// parameters.
 struct Row {
     double residual_px = 0;
-    double reach = 0;               ///< along the line, within which the supports' tangents are believed
+    double reach = 0;  ///< along the line, within which the supports' tangents are believed
     std::vector<double> values, slopes;
     std::vector<int> parameters;
-    std::vector<double> by;         ///< supports x parameters
+    std::vector<double> by;  ///< supports x parameters
 
     /// Distances of the supports after a step.
     void values_after(const Eigen::VectorXd& step, std::vector<double>& out) const {
@@ -202,7 +204,8 @@ std::vector<Row> rows_of(const CoherenceFit& f, const std::vector<CoherenceView>
 }
 
 /// Cost where supports change as their derivatives say and parameters are those of `moved`.
-double predicted_cost(const std::vector<Row>& rows, const TrackNormal& tracks, const Eigen::VectorXd& step, const OrbitModel& moved, const CoherencePass& pass) {
+double predicted_cost(const std::vector<Row>& rows, const TrackNormal& tracks, const Eigen::VectorXd& step, const OrbitModel& moved,
+                      const CoherencePass& pass) {
     double sum = 0;
     std::vector<double> values;
     for (const Row& row : rows) {
@@ -256,8 +259,8 @@ void add_rows(RowNormal& out, const Row* begin, const Row* end, const Eigen::Vec
     }
 }
 
-/// Solves symmetric positive systems that resemble each other: conjugate gradients with the factor of an earlier one as preconditioner, which a step's turns and the steps of a pass
-/// share; where it has aged, factored anew. (Of 200 views, 1200 unknowns, a factor takes fifty times as long as an iteration.)
+/// Solves symmetric positive systems that resemble each other: conjugate gradients with the factor of an earlier one as preconditioner, which a step's turns
+/// and the steps of a pass share; where it has aged, factored anew. (Of 200 views, 1200 unknowns, a factor takes fifty times as long as an iteration.)
 class SimilarSystems {
   public:
     /// a x = b, of a the lower triangle.
@@ -298,7 +301,8 @@ struct StepSpace {
 
 /// Minimum of the cost as rows predict it, damped: Newton's method on which supports hold each residual, and on which residuals count. (Taking the
 /// ones of the present state for granted makes steps too long: they are then rejected, and the optimisation creeps.)
-Eigen::VectorXd step_of(const std::vector<Row>& rows, const TrackNormal& tracks, const OrbitModel& model, const std::vector<size_t>& free, const CoherencePass& pass, double damping, StepSpace& space) {
+Eigen::VectorXd step_of(const std::vector<Row>& rows, const TrackNormal& tracks, const OrbitModel& model, const std::vector<size_t>& free,
+                        const CoherencePass& pass, double damping, StepSpace& space) {
     constexpr size_t kParts = StepSpace::kParts;
     auto& parts = space.parts;
     const auto size = static_cast<Eigen::Index>(free.size());
@@ -487,7 +491,8 @@ double ball_radius(const Silhouettes& silhouettes, const OrbitModel& m) {
 }
 
 std::vector<Touch> touches_of(Silhouettes& silhouettes, const OrbitModel& model, const std::vector<ContourPoint>& points, const CoherencePass& pass) {
-    return find_touches(silhouettes.at_scale(pass.scale), model.cameras(), points, {ball_radius(silhouettes, model), pass.margin_px, pass.resolution_px, pass.misses}, {});
+    return find_touches(silhouettes.at_scale(pass.scale), model.cameras(), points,
+                        {ball_radius(silhouettes, model), pass.margin_px, pass.resolution_px, pass.misses}, {});
 }
 
 void refine(CoherenceFit& f, Silhouettes& silhouettes, const CoherencePass& pass, Progress& progress) {

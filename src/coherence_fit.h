@@ -16,17 +16,17 @@ namespace vdbcarve {
 
 /// How exact one pass of the optimisation is.
 struct CoherencePass {
-    int scale = 1;               ///< pixels a side of a field's sample
-    size_t points = 150;         ///< a view
-    double huber_px = 1;         ///< residuals beyond count linearly
+    int scale = 1;        ///< pixels a side of a field's sample
+    size_t points = 150;  ///< a view
+    double huber_px = 1;  ///< residuals beyond count linearly
     int iterations = 25;
-    double sigma_px = 0.1;       ///< expected of residuals: their weight against the priors
-    double least_gain = 1e-3;    ///< relative; smaller ones end the pass
-    double margin_px = 0.5;      ///< points that are inside the hull by less may come to count within a step
-    double resolution_px = 0.75; ///< of the search along lines of sight
-    double support_px = 1;       ///< silhouettes that are so near to the farthest may come to hold a residual within a step
-    int turns = 8;               ///< of finding out which
-    int misses = 0;              ///< SearchOptions::misses
+    double sigma_px = 0.1;        ///< expected of residuals: their weight against the priors
+    double least_gain = 1e-3;     ///< relative; smaller ones end the pass
+    double margin_px = 0.5;       ///< points that are inside the hull by less may come to count within a step
+    double resolution_px = 0.75;  ///< of the search along lines of sight
+    double support_px = 1;        ///< silhouettes that are so near to the farthest may come to hold a residual within a step
+    int turns = 8;                ///< of finding out which
+    int misses = 0;               ///< SearchOptions::misses
     double track_sigma_px = 0.7;  ///< expected of features
     double track_huber_px = 2;
     double give_up_px = INFINITY;  ///< a pass that is still above after four iterations ends
@@ -40,7 +40,7 @@ struct CoherenceFit {
     /// Features that are to be fitted too; null: none.
     std::shared_ptr<const std::vector<FeatureTrack>> tracks;
     double cost = 0;
-    double ball_radius = 0;      ///< of the object around the origin, world units
+    double ball_radius = 0;  ///< of the object around the origin, world units
 
     /// max(0, residual) of the points about which other views say something; infinity alone where they are the lesser part.
     std::vector<double> outside_px() const;
@@ -65,7 +65,7 @@ class Silhouettes {
     size_t count() const { return masks_.size(); }
     const std::vector<size_t>& seen() const { return seen_; }  ///< views with a silhouette
     const Extent& extent(size_t i) const { return extents_[i]; }
-    double size_px() const { return size_px_; }                ///< of the object, median
+    double size_px() const { return size_px_; }  ///< of the object, median
     int width_px(size_t i) const { return views_[i].width_px; }
     int height_px(size_t i) const { return views_[i].height_px; }
 
@@ -112,8 +112,8 @@ TrackedPlace place_of(const std::vector<OrbitCamera>& cameras, const FeatureTrac
 /// What a fit's tracks cost: squared residuals (Huber's way) by their expected size, every place where its squared residuals are least.
 double track_cost(const CoherenceFit& fit, const CoherencePass& pass);
 
-/// The same near the present state: cost + 2 gradient x + x' curvature x for a step x of the free parameters, the places themselves eliminated (Schur complement: what is left of the
-/// rows across the space that moving the place can reach; src/derivations.md, 8). Empty without tracks.
+/// The same near the present state: cost + 2 gradient x + x' curvature x for a step x of the free parameters, the places themselves eliminated (Schur
+/// complement: what is left of the rows across the space that moving the place can reach; src/derivations.md, 8). Empty without tracks.
 struct TrackNormal {
     Eigen::MatrixXd curvature;
     Eigen::VectorXd gradient;

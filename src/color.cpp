@@ -29,7 +29,11 @@ using NanoAccessor = nanovdb::DefaultReadAccessor<float>;
 /// The surface as NanoVDB has it, whose leaves stand in the order of the tree's.
 class Volume {
   public:
-    explicit Volume(const openvdb::FloatGrid& surface) : bytes_(to_nanovdb(surface, false)), grid_(reinterpret_cast<const Nano*>(bytes_.data.get())), base_(color_base(leaf_box(surface))), threshold_(sight_threshold(surface)) {
+    explicit Volume(const openvdb::FloatGrid& surface)
+        : bytes_(to_nanovdb(surface, false)),
+          grid_(reinterpret_cast<const Nano*>(bytes_.data.get())),
+          base_(color_base(leaf_box(surface))),
+          threshold_(sight_threshold(surface)) {
         walls_ = sight_walls(*grid_, threshold_);
     }
     kernel::SightGrid sight() const { return {grid_, walls_.data(), threshold_, base_}; }
@@ -92,8 +96,14 @@ std::vector<SurfacePoint> points_of(const Volume& volume, const std::vector<uint
 /// Points of one surface, asked of photographs that come in batches.
 class Colorist {
   public:
-    Colorist(const openvdb::FloatGrid& surface, const Volume& volume, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress)
-        : inputs_(inputs), source_(photos), progress_(progress), rule_(color_rule(options, leaf_box(surface))), sight_(volume.sight()), batches_(inputs.size(), options.batch) {
+    Colorist(const openvdb::FloatGrid& surface, const Volume& volume, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
+             const ColorOptions& options, Progress& progress)
+        : inputs_(inputs),
+          source_(photos),
+          progress_(progress),
+          rule_(color_rule(options, leaf_box(surface))),
+          sight_(volume.sight()),
+          batches_(inputs.size(), options.batch) {
         for (const ColorInput& input : inputs) views_.push_back(make_color_view(input, surface.transform(), volume.base()));
     }
 
@@ -131,7 +141,8 @@ class Colorist {
                 Candidate here[kernel::kCandidates];
                 for (size_t n = range.begin(); n < range.end(); ++n) {
                     Candidate* candidates = at_once ? here : found.data() + n * keep;
-                    const int count = kernel::find_views(cells, views_.data() + first, static_cast<int>(first), static_cast<int>(last), rule_, points[n], candidates, at_once ? 0 : counts[n]);
+                    const int count = kernel::find_views(cells, views_.data() + first, static_cast<int>(first), static_cast<int>(last), rule_, points[n],
+                                                         candidates, at_once ? 0 : counts[n]);
                     if (at_once) decide(n, candidates, count);
                     else counts[n] = static_cast<uint8_t>(count);
                 }
@@ -154,7 +165,8 @@ class Colorist {
     /// Calls work(first, last) with the photographs and fields of those views in place.
     template <class Work>
     void for_batches(const Work& work) {
-        batches_.each(progress_, [&](size_t first, size_t last) { load(first, last); }, work);
+        batches_.each(
+            progress_, [&](size_t first, size_t last) { load(first, last); }, work);
     }
 
     void load(size_t first, size_t last) {
@@ -232,7 +244,10 @@ void spread(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface, const 
                 for (auto it = todo.beginOn(); it; ++it) {
                     const auto at = it.pos();
                     const auto neighbour = [&](int face, float& value, Rgb& c) {
-                        const int shift = face / 2 == 0 ? 6 : face / 2 == 1 ? 3 : 0, along = static_cast<int>(at >> shift & 7), to = along + (face % 2 ? 1 : -1);
+                        const int shift = face / 2 == 0   ? 6
+                                          : face / 2 == 1 ? 3
+                                                          : 0,
+                                  along = static_cast<int>(at >> shift & 7), to = along + (face % 2 ? 1 : -1);
                         size_t leaf = n;
                         if (to & ~7) {
                             const int32_t other = neighbours[n][static_cast<size_t>(face)];
@@ -257,7 +272,8 @@ void spread(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface, const 
         });
 }
 
-ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress) {
+ColorResult color_on_cpu(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options,
+                         Progress& progress) {
     progress.begin("color", 1);
     ColorResult out;
     auto last = std::chrono::steady_clock::now();
@@ -335,7 +351,8 @@ SurfacePoint point_at(const NanoAccessor& grid, const Vec3d& p, const kernel::No
         if (n.squaredNorm() > 0) n.normalize();
     }
     const Vec3d q = p - Vec3d(base.i, base.j, base.k);
-    return {static_cast<float>(q.x()), static_cast<float>(q.y()), static_cast<float>(q.z()), static_cast<float>(n.x()), static_cast<float>(n.y()), static_cast<float>(n.z())};
+    return {static_cast<float>(q.x()), static_cast<float>(q.y()), static_cast<float>(q.z()),
+            static_cast<float>(n.x()), static_cast<float>(n.y()), static_cast<float>(n.z())};
 }
 
 }  // namespace
@@ -346,7 +363,8 @@ ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInpu
     return color_in_batches(surface, inputs, {}, all, progress);
 }
 
-ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress) {
+ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options,
+                             Progress& progress) {
     check_color(surface, inputs, options);
     if (options.backend != Backend::Cuda) return color_on_cpu(surface, inputs, photos, options, progress);
     DevicePipeline device(options.device);
@@ -385,8 +403,8 @@ size_t color_vertices(Mesh& mesh, const openvdb::Vec3SGrid& color) {
     return missed;
 }
 
-double color_vertices_from_photos(Mesh& mesh, const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid& color, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
-                                  const ColorOptions& options, Progress& progress) {
+double color_vertices_from_photos(Mesh& mesh, const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid& color, const std::vector<ColorInput>& inputs,
+                                  const PhotoSource& photos, const ColorOptions& options, Progress& progress) {
     check_color(surface, inputs, options);
     color_vertices(mesh, color);
     progress.begin("color", std::max<size_t>(1, mesh.vertices.size() * inputs.size()));

@@ -43,7 +43,8 @@ Level coarser(Level& fine) {
     out.first.push_back(static_cast<int32_t>(fine.keys.size()));
     out.colors.resize(out.keys.size());
     out.known.resize(out.keys.size());
-    for_all(out.keys.size(), [&](size_t n) { out.known[n] = kernel::parent_color(fine.colors.data(), fine.known.data(), out.first[n], out.first[n + 1], out.colors[n]); });
+    for_all(out.keys.size(),
+            [&](size_t n) { out.known[n] = kernel::parent_color(fine.colors.data(), fine.known.data(), out.first[n], out.first[n + 1], out.colors[n]); });
     out.unknown = static_cast<size_t>(std::count(out.known.begin(), out.known.end(), uint8_t{0}));
     return out;
 }
@@ -80,7 +81,8 @@ void relax(Level& level, const Level& coarse) {
             const Link* link = links[chunk].data();
             for (size_t c = first; c < last; ++c) {
                 kernel::Relaxation relaxation(level.colors[static_cast<size_t>(cells[c])]);
-                for (const Link* end = links[chunk].data() + ends[chunk][c - first]; link < end; ++link) relaxation.add(level.colors[static_cast<size_t>(link->cell)], link->place);
+                for (const Link* end = links[chunk].data() + ends[chunk][c - first]; link < end; ++link)
+                    relaxation.add(level.colors[static_cast<size_t>(link->cell)], link->place);
                 next[c] = relaxation.value();
             }
         });

@@ -25,26 +25,29 @@ void check_color(const openvdb::FloatGrid& surface, const std::vector<ColorInput
     if (o.mode == ColorMode::None) throw UsageError("color: no mode");
     if (o.depth_vox < 1 || o.depth_vox > 1000) throw UsageError("color: the depth is " + std::to_string(o.depth_vox) + " layers, must be 1..1000");
     if (o.normal_radius_vox < 0 || o.normal_radius_vox > kMaxNormalRadius_vox)
-        throw UsageError("color: the normals' window is " + std::to_string(o.normal_radius_vox) + " voxels, must be 0.." + std::to_string(kMaxNormalRadius_vox));
-    if (!o.gains.empty() && o.gains.size() != inputs.size()) throw UsageError("color: " + std::to_string(o.gains.size()) + " gains for " + std::to_string(inputs.size()) + " views");
+        throw UsageError("color: the normals' window is " + std::to_string(o.normal_radius_vox) + " voxels, must be 0.." +
+                         std::to_string(kMaxNormalRadius_vox));
+    if (!o.gains.empty() && o.gains.size() != inputs.size())
+        throw UsageError("color: " + std::to_string(o.gains.size()) + " gains for " + std::to_string(inputs.size()) + " views");
     const bool any = std::any_of(inputs.begin(), inputs.end(), [](const ColorInput& i) { return i.use; });
     if (!any) throw UsageError("color: no view to take colour from");
     for (const ColorInput& input : inputs) {
         const Intrinsics& k = input.camera.intrinsics;
         const ImageView<uint8_t>& m = input.mask.coverage;
         if (input.use && (m.width != k.width_px || m.height != k.height_px))
-            throw InputError("color: view " + input.name + ": the mask has " + std::to_string(m.width) + " x " + std::to_string(m.height) + " pixels, the camera " + std::to_string(k.width_px) + " x " +
-                             std::to_string(k.height_px));
+            throw InputError("color: view " + input.name + ": the mask has " + std::to_string(m.width) + " x " + std::to_string(m.height) +
+                             " pixels, the camera " + std::to_string(k.width_px) + " x " + std::to_string(k.height_px));
     }
 }
 
 void check_photo(const char* stage, const ColorInput& input, const PhotoView& photo) {
     const Intrinsics& k = input.camera.intrinsics;
     if (photo.width() != k.width_px || photo.height() != k.height_px)
-        throw InputError(std::string(stage) + ": view " + input.name + ": the photograph has " + std::to_string(photo.width()) + " x " + std::to_string(photo.height()) + " pixels, the camera " + std::to_string(k.width_px) +
-                         " x " + std::to_string(k.height_px));
+        throw InputError(std::string(stage) + ": view " + input.name + ": the photograph has " + std::to_string(photo.width()) + " x " +
+                         std::to_string(photo.height()) + " pixels, the camera " + std::to_string(k.width_px) + " x " + std::to_string(k.height_px));
     const int c = photo.channels();
-    if (c != 1 && c != 3 && c != 4) throw InputError(std::string(stage) + ": view " + input.name + ": the photograph has " + std::to_string(c) + " channels; grey, RGB and RGBA are read");
+    if (c != 1 && c != 3 && c != 4)
+        throw InputError(std::string(stage) + ": view " + input.name + ": the photograph has " + std::to_string(c) + " channels; grey, RGB and RGBA are read");
 }
 
 const std::vector<float>& linear_table(bool wide) {
@@ -143,7 +146,8 @@ std::vector<uint64_t> sight_walls(const nanovdb::NanoGrid<float>& grid, float th
     std::vector<uint64_t> out(static_cast<size_t>(grid.tree().nodeCount(0)) * kernel::kWallWords);
     for_ranges(out.size() / kernel::kWallWords, 64, [&](const tbb::blocked_range<size_t>& range) {
         for (size_t n = range.begin(); n < range.end(); ++n)
-            for (uint32_t at = 0; at < kLeafVoxels; ++at) out[n * kernel::kWallWords + at / 64] |= static_cast<uint64_t>(leaves[n].getValue(at) < threshold) << (at & 63);
+            for (uint32_t at = 0; at < kLeafVoxels; ++at)
+                out[n * kernel::kWallWords + at / 64] |= static_cast<uint64_t>(leaves[n].getValue(at) < threshold) << (at & 63);
     });
     return out;
 }
@@ -221,8 +225,8 @@ void carry_inwards(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface,
     }
 }
 
-void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const std::vector<uint32_t>& contour, const std::vector<uint8_t>& views_blended, const std::vector<float>& confidence,
-                  const ColorOptions& options) {
+void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const std::vector<uint32_t>& contour, const std::vector<uint8_t>& views_blended,
+                  const std::vector<float>& confidence, const ColorOptions& options) {
     std::vector<const openvdb::FloatTree::LeafNodeType*> leaves;
     surface.tree().getNodes(leaves);
     const auto shell = [&](auto&& tree, auto background) {
@@ -253,7 +257,9 @@ void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const 
 void explain_unseen(const std::vector<ColorInput>& inputs) {
     size_t used = 0;
     for (const ColorInput& i : inputs) used += i.use;
-    throw ContradictionError("color: of " + std::to_string(used) + " views none has a photograph that sees the surface from at least 6 degrees above it, 3 px inside its mask. Remedy: check cameras and masks, or --color none");
+    throw ContradictionError("color: of " + std::to_string(used) +
+                             " views none has a photograph that sees the surface from at least 6 degrees above it, 3 px inside its mask. Remedy: check cameras "
+                             "and masks, or --color none");
 }
 
 }  // namespace vdbcarve

@@ -121,8 +121,8 @@ void fill_colors(const std::vector<uint64_t>& keys, const std::vector<uint8_t>& 
 void carry_inwards(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface, int depth_vox);
 
 /// The grids and statistics, from the contour's voxels (leaf * 512 + offset) and the spread colours, whose grid is `color`.
-void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const std::vector<uint32_t>& contour, const std::vector<uint8_t>& views_blended, const std::vector<float>& confidence,
-                  const ColorOptions& options);
+void finish_color(ColorResult& result, const openvdb::FloatGrid& surface, const std::vector<uint32_t>& contour, const std::vector<uint8_t>& views_blended,
+                  const std::vector<float>& confidence, const ColorOptions& options);
 
 /// An empty colour grid with the surface's leaves: values 0, nothing active.
 openvdb::Vec3SGrid::Ptr empty_color(const openvdb::FloatGrid& surface);

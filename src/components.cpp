@@ -134,7 +134,8 @@ int64_t Pieces::tile_at(const Coord& c) const {
     if (leaf_number_.count(c & ~7) || (tree_.getValue(c) < 0.f) != inside_) return -1;
     if (!inside_) return first_.back();
     for (const int side : {8, 128, 4096})
-        if (const auto found = tile_number_.find(c & ~(side - 1)); found != tile_number_.end() && tiles_[found->second - first_.back()].side == side) return found->second;
+        if (const auto found = tile_number_.find(c & ~(side - 1)); found != tile_number_.end() && tiles_[found->second - first_.back()].side == side)
+            return found->second;
     return -1;
 }
 

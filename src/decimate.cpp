@@ -15,7 +15,8 @@ namespace vdbcarve {
 
 size_t decimate(Mesh& mesh, const DecimateOptions& options, Progress& progress) {
     if (options.faces == 0 && !(options.max_error > 0)) throw UsageError("decimate: neither a number of faces nor an error is given");
-    if (!(options.max_error >= 0 && std::isfinite(options.max_error))) throw UsageError("decimate: the error is " + std::to_string(options.max_error) + ", must be > 0");
+    if (!(options.max_error >= 0 && std::isfinite(options.max_error)))
+        throw UsageError("decimate: the error is " + std::to_string(options.max_error) + ", must be > 0");
     if (options.faces > 0 && options.faces < 4) throw UsageError("decimate: a closed mesh has at least 4 faces, not " + std::to_string(options.faces));
     if (!(options.max_turn_deg > 0 && options.max_turn_deg <= 180)) throw UsageError("decimate: faces may turn by more than 0 and at most 180 degrees");
     progress.begin("decimate", 1);
@@ -94,7 +95,9 @@ Mesh clustered(const Mesh& mesh, const std::array<float, 3>& low, float cell) {
     }
     Mesh out;
     for (const Sum& sum : sums) {
-        const auto mean = [&](const double (&of)[3]) { return std::array<float, 3>{static_cast<float>(of[0] / sum.count), static_cast<float>(of[1] / sum.count), static_cast<float>(of[2] / sum.count)}; };
+        const auto mean = [&](const double(&of)[3]) {
+            return std::array<float, 3>{static_cast<float>(of[0] / sum.count), static_cast<float>(of[1] / sum.count), static_cast<float>(of[2] / sum.count)};
+        };
         out.vertices.push_back(mean(sum.position));
         if (!mesh.colors.empty()) out.colors.push_back(mean(sum.color));
     }

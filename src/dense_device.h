@@ -14,6 +14,7 @@ struct DenseTimes {
 };
 
 /// Byte masks (0 background) of one size, and 3x4 matrices from index coordinates to homogeneous pixels. Throws BackendError.
-DenseTimes dense_on_device(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index, const std::array<int, 3>& dims, int device, int runs);
+DenseTimes dense_on_device(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index,
+                           const std::array<int, 3>& dims, int device, int runs);
 
 }  // namespace vdbcarve

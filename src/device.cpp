@@ -36,7 +36,8 @@ Backend choose_backend(Backend wanted, int device) {
     if (device >= 0 && device < count) return Backend::Cuda;
     if (wanted == Backend::Auto && count == 0) return Backend::Cpu;
     if (count == 0) throw BackendError("--backend cuda: " + why_no_cuda() + ". Remedy: --backend cpu gives the same result");
-    throw BackendError("--device " + std::to_string(device) + ": this machine has " + std::to_string(count) + " CUDA device" + (count == 1 ? "" : "s") + ", numbered from 0");
+    throw BackendError("--device " + std::to_string(device) + ": this machine has " + std::to_string(count) + " CUDA device" + (count == 1 ? "" : "s") +
+                       ", numbered from 0");
 }
 
 #if !defined(VDBCARVE_WITH_CUDA)
@@ -64,7 +65,9 @@ void DevicePipeline::level_set(const LevelSetOptions&) { absent(); }
 openvdb::FloatGrid::Ptr DevicePipeline::surface() const { absent(); }
 void DevicePipeline::set_surface(const openvdb::FloatGrid&) { absent(); }
 ColorResult DevicePipeline::color(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const ColorOptions&, Progress&) { absent(); }
-StereoResult DevicePipeline::stereo(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const StereoOptions&, Progress&) { absent(); }
+StereoResult DevicePipeline::stereo(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const StereoOptions&, Progress&) {
+    absent();
+}
 FilterResult DevicePipeline::filter(const FilterOptions&, Progress&) { absent(); }
 void DevicePipeline::set_colors(const NanoBuffer&) { absent(); }
 Image8 DevicePipeline::render(const Camera&, const RenderOptions&) { absent(); }
@@ -78,7 +81,9 @@ size_t DevicePipeline::free_bytes() const { absent(); }
 void DevicePipeline::wait() const { absent(); }
 NanoBuffer DevicePipeline::hull_bytes() const { absent(); }
 Mesh DevicePipeline::fetch_mesh(bool) { absent(); }
-DenseTimes dense_on_device(const std::vector<const uint8_t*>&, int, int, const std::vector<std::array<float, 12>>&, const std::array<int, 3>&, int, int) { absent(); }
+DenseTimes dense_on_device(const std::vector<const uint8_t*>&, int, int, const std::vector<std::array<float, 12>>&, const std::array<int, 3>&, int, int) {
+    absent();
+}
 
 #else
 
@@ -194,8 +199,8 @@ void DevicePipeline::Parts::upload(Volume& volume, const openvdb::FloatGrid& gri
     stream.to_device(uploaded_active.ensure(active.size()), active.data(), active.size());
     stream.to_device(uploaded_keys.ensure(keys.size()), keys.data(), keys.size());
     volume.own.number_leaves(stream);
-    volume.grid.build(volume.own, spec_of(grid.getName(), *volume.transform, grid.background()), {uploaded_values.data(), uploaded_active.data(), uploaded_keys.data(), static_cast<uint32_t>(keys.size())},
-                      stream);
+    volume.grid.build(volume.own, spec_of(grid.getName(), *volume.transform, grid.background()),
+                      {uploaded_values.data(), uploaded_active.data(), uploaded_keys.data(), static_cast<uint32_t>(keys.size())}, stream);
     stream.wait();
 }
 
@@ -247,7 +252,8 @@ void DevicePipeline::distance(const DistanceOptions& options) {
         std::vector<cuda::DeviceField*> results;
         const auto order = [&](size_t view, size_t mask, bool of_ignored, const SampledField& header, double field_offset_samples) {
             const FieldLengths l = field_lengths(reach, field_offset_samples);
-            jobs.push_back({static_cast<int>(mask), of_ignored, header.x0, header.y0, header.width, header.height, l.reach, l.offset, l.clamp, field_offset_samples});
+            jobs.push_back(
+                {static_cast<int>(mask), of_ignored, header.x0, header.y0, header.width, header.height, l.reach, l.offset, l.clamp, field_offset_samples});
             results.push_back(of_ignored ? &p.ignored[view] : &p.silhouettes[view]);
         };
         for (size_t v = 0; v < p.mask_of.size(); ++v) {
@@ -342,7 +348,8 @@ CarveStatistics DevicePipeline::carve(const std::vector<CarveInput>& inputs, con
     Parts& p = *parts_;
     p.use();
     progress.begin("carve", 2);
-    if (p.headers.size() != inputs.size()) throw UsageError("carve: the device holds fields of " + std::to_string(p.headers.size()) + " views, " + std::to_string(inputs.size()) + " are carved");
+    if (p.headers.size() != inputs.size())
+        throw UsageError("carve: the device holds fields of " + std::to_string(p.headers.size()) + " views, " + std::to_string(inputs.size()) + " are carved");
     std::vector<CarveInput> bare = inputs;
     for (CarveInput& input : bare) input.field = nullptr;
     check_carve(bare, options);
@@ -352,7 +359,8 @@ CarveStatistics DevicePipeline::carve(const std::vector<CarveInput>& inputs, con
         const Intrinsics& k = inputs[i].camera.intrinsics;
         if (!p.silhouettes[i].samples || h.mask_width != k.width_px || h.mask_height != k.height_px)
             throw UsageError("carve: view " + inputs[i].name + ": the distance field has not the camera's size");
-        if (options.occupancy && h.scale != 1) throw UsageError("carve: the binary model wants a sample a pixel, view " + inputs[i].name + " has a field-scale of " + std::to_string(h.scale));
+        if (options.occupancy && h.scale != 1)
+            throw UsageError("carve: the binary model wants a sample a pixel, view " + inputs[i].name + " has a field-scale of " + std::to_string(h.scale));
         bare[i].field = &h;
         kernel::CarveView view = make_carve_view(bare[i], options);
         view.silhouette = p.view_of(h.silhouette, p.silhouettes[i]);
@@ -428,7 +436,8 @@ openvdb::MaskGrid::Ptr DevicePipeline::occupancy() const {
     openvdb::MaskGrid::Ptr out = empty_occupancy(options);
     openvdb::MaskTree& tree = out->tree();
     const auto place = [&](size_t block, size_t at) {
-        return Coord(blocks[block][0] + static_cast<int>(at >> 8) * 8, blocks[block][1] + static_cast<int>(at >> 4 & 15) * 8, blocks[block][2] + static_cast<int>(at & 15) * 8);
+        return Coord(blocks[block][0] + static_cast<int>(at >> 8) * 8, blocks[block][1] + static_cast<int>(at >> 4 & 15) * 8,
+                     blocks[block][2] + static_cast<int>(at & 15) * 8);
     };
     bool any = false;
     for (size_t slot = 0; slot < keys.size(); ++slot) {
@@ -489,7 +498,8 @@ bool DevicePipeline::Parts::redistance(const cuda::Grid& field, const cuda::Topo
         });
     level_set.finish(field, field_topology, half_width_vox, repair ? static_cast<float>(repair->offset_vox) : 0.f, stream, times);
     const float band = static_cast<float>(half_width_vox) * static_cast<float>(surface.transform->voxelSize()[0]);
-    times.measure("level_set", stream, [&] { surface.grid.build(level_set.topology(), spec_of("surface", *surface.transform, band), level_set.leaves(field), stream); });
+    times.measure("level_set", stream,
+                  [&] { surface.grid.build(level_set.topology(), spec_of("surface", *surface.transform, band), level_set.leaves(field), stream); });
     surface.topology = &level_set.topology();
     return true;
 }
@@ -513,7 +523,8 @@ FilterResult DevicePipeline::filter(const FilterOptions& options, Progress& prog
     repair.target = p.level_set.volume_of(volume.grid, *volume.topology, p.stream, p.times);
     progress.begin("filter", 2);
     const auto thin = options.keep_thin_vox > 0 ? thin_passes(options.keep_thin_vox) : std::vector<kernel::FilterPass>();
-    p.filter.run(volume.grid, *volume.topology, passes_of(options.steps), static_cast<float>(options.keep_thin_vox), thin, static_cast<float>(half_width), p.stream, p.times);
+    p.filter.run(volume.grid, *volume.topology, passes_of(options.steps), static_cast<float>(options.keep_thin_vox), thin, static_cast<float>(half_width),
+                 p.stream, p.times);
     progress.step();
     p.surface.topology = nullptr;
     if (!p.redistance(p.filter.grid(), p.filter.topology(), half_width, &repair)) explain_filtered_away(options);
@@ -549,7 +560,8 @@ Image8 DevicePipeline::render(const Camera& camera, const RenderOptions& options
     const auto& volume = p.surface.topology ? p.surface : p.need(p.hull, "volume");
     const cuda::GridSpec& spec = volume.grid.spec();
     const std::array<int, 6> box = p.render.leaf_box(volume.grid, p.stream, p.times);
-    const RenderFrame frame({{box[0], box[1], box[2]}, {box[3], box[4], box[5]}}, Vec3d(spec.first_voxel_world[0], spec.first_voxel_world[1], spec.first_voxel_world[2]), spec.voxel_size);
+    const RenderFrame frame({{box[0], box[1], box[2]}, {box[3], box[4], box[5]}},
+                            Vec3d(spec.first_voxel_world[0], spec.first_voxel_world[1], spec.first_voxel_world[2]), spec.voxel_size);
     const kernel::RenderRule rule = render_rule(frame, camera, options);
     const uint8_t* pixels = p.render.render(volume.grid, frame.base, frame.box, rule, ambient_directions(rule.ambient_rays), srgb_table(), p.stream, p.times);
     Image8 out(rule.width, rule.height, 4);
@@ -601,7 +613,9 @@ std::vector<std::pair<std::string, double>> DevicePipeline::milliseconds() const
 void DevicePipeline::clear_times() { parts_->times.clear(); }
 size_t DevicePipeline::bytes() const {
     const Parts& p = *parts_;
-    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.fused.grid.bytes() + p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() + p.stereo.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
+    return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.fused.grid.bytes() +
+           p.level_set.bytes() + p.filter.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() + p.stereo.bytes() + p.uploaded_values.bytes() +
+           p.photos.bytes();
 }
 size_t DevicePipeline::free_bytes() const {
     parts_->use();
@@ -614,7 +628,8 @@ void DevicePipeline::wait() const {
     parts_->stream.wait();
 }
 
-DenseTimes dense_on_device(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index, const std::array<int, 3>& dims, int device, int runs) {
+DenseTimes dense_on_device(const std::vector<const uint8_t*>& masks, int width, int height, const std::vector<std::array<float, 12>>& pixel_from_index,
+                           const std::array<int, 3>& dims, int device, int runs) {
     VDBCARVE_CUDA(cudaSetDevice(device));
     cuda::Stream stream;
     cuda::DenseStage dense;

@@ -34,7 +34,8 @@ class PhotoUpload {
 
 }  // namespace
 
-ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& source, const ColorOptions& options, Progress& progress) {
+ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& source,
+                                  const ColorOptions& options, Progress& progress) {
     Parts& p = *parts_;
     p.use();
     check_color(surface, inputs, options);
@@ -46,7 +47,8 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
 
     progress.begin("color", 6);
     const kernel::ColorBase base = color_base(leaf_box(surface));
-    if (p.color.find_contour(volume.grid, base, options.normal_radius_vox, normal_weights(options.normal_radius_vox), p.stream, p.times) == 0) explain_unseen(inputs);
+    if (p.color.find_contour(volume.grid, base, options.normal_radius_vox, normal_weights(options.normal_radius_vox), p.stream, p.times) == 0)
+        explain_unseen(inputs);
     progress.step();
     std::vector<kernel::ColorView> views;
     for (const ColorInput& input : inputs) views.push_back(make_color_view(input, surface.transform(), base));
@@ -63,7 +65,10 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
             const auto each = [&](const auto& visit) {
                 for (size_t v = first; v < last; ++v) {
                     const PhotoView photo = source ? view_of(photos[v - first]) : inputs[v].photo;
-                    if (inputs[v].use && !photo.empty()) visit(v, photo, photo.pixels8.pixels() * static_cast<size_t>(photo.pixels8.channels) + 2 * photo.pixels16.pixels() * static_cast<size_t>(photo.pixels16.channels));
+                    if (inputs[v].use && !photo.empty())
+                        visit(v, photo,
+                              photo.pixels8.pixels() * static_cast<size_t>(photo.pixels8.channels) +
+                                  2 * photo.pixels16.pixels() * static_cast<size_t>(photo.pixels16.channels));
                 }
             };
             each([&](size_t v, const PhotoView& photo, size_t size) {
@@ -105,7 +110,8 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
         std::vector<Observation> part;
         for_batches([&](size_t first, const std::vector<kernel::ColorView>& some) {
             p.color.observe(some, rule, places, part, p.stream, p.times);
-            for (size_t n = 0; n < places.size(); ++n) std::copy_n(part.begin() + static_cast<long>(n * some.size()), some.size(), all.table.begin() + static_cast<long>(n * all.views + first));
+            for (size_t n = 0; n < places.size(); ++n)
+                std::copy_n(part.begin() + static_cast<long>(n * some.size()), some.size(), all.table.begin() + static_cast<long>(n * all.views + first));
         });
         return all;
     });
@@ -134,7 +140,8 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
     static_assert(sizeof(kernel::Rgb) == sizeof(openvdb::Vec3s));
     constexpr size_t kLeafBytes = cuda::kLeafVoxels * sizeof(kernel::Rgb);
     p.fetcher.fetch(p.color.leaf_colors(), leaves.size() * kLeafBytes, kLeafBytes, p.stream, [&](const uint8_t* piece, size_t at, size_t size) {
-        tbb::parallel_for(size_t{0}, size / kLeafBytes, [&](size_t n) { std::memcpy(static_cast<void*>(leaves[at / kLeafBytes + n]->buffer().data()), piece + n * kLeafBytes, kLeafBytes); });
+        tbb::parallel_for(size_t{0}, size / kLeafBytes,
+                          [&](size_t n) { std::memcpy(static_cast<void*>(leaves[at / kLeafBytes + n]->buffer().data()), piece + n * kLeafBytes, kLeafBytes); });
     });
     p.fetcher.fetch(p.color.layers(), leaves.size() * cuda::kLeafVoxels, cuda::kLeafVoxels, p.stream, [&](const uint8_t* piece, size_t at, size_t size) {
         tbb::parallel_for(size_t{0}, size / cuda::kLeafVoxels, [&](size_t n) {

@@ -27,7 +27,8 @@ namespace vdbcarve {
 /// Copies in parallel, so that page-locked memory is filled at the memory's speed.
 inline void copy_parallel(uint8_t* to, const uint8_t* from, size_t bytes) {
     constexpr size_t kPiece = 1 << 19;
-    tbb::parallel_for(size_t{0}, (bytes + kPiece - 1) / kPiece, [&](size_t p) { std::memcpy(to + p * kPiece, from + p * kPiece, std::min(kPiece, bytes - p * kPiece)); });
+    tbb::parallel_for(size_t{0}, (bytes + kPiece - 1) / kPiece,
+                      [&](size_t p) { std::memcpy(to + p * kPiece, from + p * kPiece, std::min(kPiece, bytes - p * kPiece)); });
 }
 
 /// Brings device memory home through two pieces of page-locked memory: while one is on its way the other is taken in.
@@ -65,7 +66,7 @@ struct DevicePipeline::Parts {
     /// A level set that was carried here, or made by a stage: its grid and the topology it was built from.
     struct Volume {
         cuda::Grid grid;
-        cuda::Topology own;              ///< of an uploaded one
+        cuda::Topology own;                  ///< of an uploaded one
         cuda::Topology* topology = nullptr;  ///< null: there is none
         openvdb::math::Transform::Ptr transform;
     };
@@ -81,8 +82,8 @@ struct DevicePipeline::Parts {
         int width, height;
         bool ignores;
     };
-    std::vector<MaskSize> mask_sizes;     ///< of the uploaded ones
-    std::vector<DistanceField> headers;   ///< by view, without samples
+    std::vector<MaskSize> mask_sizes;    ///< of the uploaded ones
+    std::vector<DistanceField> headers;  ///< by view, without samples
     std::vector<cuda::DeviceField> silhouettes, ignored;
     cuda::DeviceBuffer<int16_t> uploaded_fields;
 
@@ -97,7 +98,7 @@ struct DevicePipeline::Parts {
     cuda::ColorStage color;
     cuda::RenderStage render;
     cuda::StereoStage stereo;
-    cuda::DeviceBuffer<uint8_t> photos;   ///< of a batch
+    cuda::DeviceBuffer<uint8_t> photos;  ///< of a batch
     cuda::DeviceBuffer<float> uploaded_values;
     cuda::DeviceBuffer<uint64_t> uploaded_active;
     cuda::DeviceBuffer<uint32_t> uploaded_keys;

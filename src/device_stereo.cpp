@@ -25,7 +25,8 @@ FusedBlocks fuse_on_device(const FusionPlan& plan, cuda::StereoStage& stage, Fet
     constexpr size_t kAtOnce = size_t{1} << 14;  ///< blocks: 64 MB of answers, and threads enough to fill a device many times
     for (size_t begin = 0; begin < plan.blocks.size(); begin += kAtOnce) {
         std::vector<std::array<int, 3>> first;
-        for (size_t b = begin; b < std::min(begin + kAtOnce, plan.blocks.size()); ++b) first.push_back({plan.blocks[b][0], plan.blocks[b][1], plan.blocks[b][2]});
+        for (size_t b = begin; b < std::min(begin + kAtOnce, plan.blocks.size()); ++b)
+            first.push_back({plan.blocks[b][0], plan.blocks[b][1], plan.blocks[b][2]});
         const cuda::StereoStage::Fused found = stage.fuse(plan.rule, views, first, stream, times);
         // Slots were taken as threads came.
         std::vector<uint32_t> block(found.count), at(found.count);
@@ -43,7 +44,9 @@ FusedBlocks fuse_on_device(const FusionPlan& plan, cuda::StereoStage& stage, Fet
             to.resize(out.block.size() * static_cast<size_t>(cuda::kLeafVoxels));
             fetcher.fetch(from, found.count * kBytes, kBytes, stream, [&](const uint8_t* piece, size_t offset, size_t bytes) {
                 const size_t first_slot = offset / kBytes;
-                tbb::parallel_for(size_t{0}, bytes / kBytes, [&](size_t s) { std::memcpy(to.data() + place[first_slot + s] * static_cast<size_t>(cuda::kLeafVoxels), piece + s * kBytes, kBytes); });
+                tbb::parallel_for(size_t{0}, bytes / kBytes, [&](size_t s) {
+                    std::memcpy(to.data() + place[first_slot + s] * static_cast<size_t>(cuda::kLeafVoxels), piece + s * kBytes, kBytes);
+                });
             });
         };
         bring(out.values, found.values);
@@ -54,7 +57,8 @@ FusedBlocks fuse_on_device(const FusionPlan& plan, cuda::StereoStage& stage, Fet
 
 }  // namespace
 
-StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress) {
+StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
+                                    const StereoOptions& options, Progress& progress) {
     Parts& p = *parts_;
     p.use();
     check_stereo(surface, inputs, options);

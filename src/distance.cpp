@@ -18,8 +18,18 @@ namespace vdbcarve {
 kernel::FieldView SampledField::view() const {
     constexpr float kFar = 1e30f;
     const auto edge = [&](int side, int at) { return cut[side] ? static_cast<float>(at) : (side < 2 ? -kFar : kFar); };
-    return {samples.empty() ? nullptr : samples.data(), width, height, static_cast<float>(x0), static_cast<float>(y0), reach,
-            blocks.data(), blocks_per_row, edge(0, x0), edge(1, y0), edge(2, x0 + width), edge(3, y0 + height)};
+    return {samples.empty() ? nullptr : samples.data(),
+            width,
+            height,
+            static_cast<float>(x0),
+            static_cast<float>(y0),
+            reach,
+            blocks.data(),
+            blocks_per_row,
+            edge(0, x0),
+            edge(1, y0),
+            edge(2, x0 + width),
+            edge(3, y0 + height)};
 }
 
 float SampledField::at(int x, int y) const {
@@ -116,8 +126,8 @@ SampledField window_field(ImageView<uint8_t> m, const FieldWindow& window, doubl
     const FieldLengths lengths = field_lengths(reach, offset);
     out.samples.resize(static_cast<size_t>(out.width) * static_cast<size_t>(out.height));
     std::vector<int32_t> scratch(window_scratch(out.width, out.height));
-    vector_loops().window_distance({m.data + static_cast<size_t>(out.y0) * static_cast<size_t>(m.width) + out.x0, m.width, out.width, out.height, lengths.reach, lengths.offset,
-                                    lengths.clamp, out.samples.data(), scratch.data()});
+    vector_loops().window_distance({m.data + static_cast<size_t>(out.y0) * static_cast<size_t>(m.width) + out.x0, m.width, out.width, out.height, lengths.reach,
+                                    lengths.offset, lengths.clamp, out.samples.data(), scratch.data()});
     fill_blocks(out, m, offset);
     return out;
 }
@@ -182,7 +192,8 @@ double field_offset(const DistanceOptions& options) { return options.silhouette_
 double field_reach(const DistanceOptions& options) { return std::min(options.reach_samples, kernel::kMaxReach_px - std::fabs(field_offset(options))); }
 
 FieldLengths field_lengths(double reach, double offset) {
-    return {static_cast<int>((reach + std::fabs(offset)) * kernel::kSubpixel), static_cast<int>(std::lround(offset * kernel::kSubpixel)), static_cast<int>(reach * kernel::kSubpixel)};
+    return {static_cast<int>((reach + std::fabs(offset)) * kernel::kSubpixel), static_cast<int>(std::lround(offset * kernel::kSubpixel)),
+            static_cast<int>(reach * kernel::kSubpixel)};
 }
 
 FieldWindow window_around(const int box[4], int width, int height, double reach, double offset) {
@@ -209,13 +220,14 @@ void check_distance(const DistanceOptions& options) {
     if (!(options.reach_samples >= 4 && options.reach_samples <= kernel::kMaxReach_px))
         throw UsageError("distance: a reach of " + std::to_string(options.reach_samples) + " samples, must be 4.." + std::to_string(kernel::kMaxReach_px));
     if (!(std::fabs(options.silhouette_offset_px) <= kernel::kMaxReach_px / 2 * options.scale))
-        throw UsageError("distance: a silhouette offset of " + std::to_string(options.silhouette_offset_px) + " px, at most " + std::to_string(kernel::kMaxReach_px / 2 * options.scale));
+        throw UsageError("distance: a silhouette offset of " + std::to_string(options.silhouette_offset_px) + " px, at most " +
+                         std::to_string(kernel::kMaxReach_px / 2 * options.scale));
 }
 
 void check_mask_size(int mask_width, int mask_height, int scale) {
     if ((mask_width + scale - 1) / scale < 2 || (mask_height + scale - 1) / scale < 2)
-        throw UsageError("a mask of " + std::to_string(mask_width) + " x " + std::to_string(mask_height) + " pixels has no contour" + (scale > 1 ? " at field-scale " + std::to_string(scale) : "") +
-                         "; 2 x 2 is the least");
+        throw UsageError("a mask of " + std::to_string(mask_width) + " x " + std::to_string(mask_height) + " pixels has no contour" +
+                         (scale > 1 ? " at field-scale " + std::to_string(scale) : "") + "; 2 x 2 is the least");
 }
 
 size_t planned_field_bytes(const MaskView& mask, const DistanceOptions& options) {
@@ -231,7 +243,8 @@ size_t planned_field_bytes(const MaskView& mask, const DistanceOptions& options)
 }
 
 ImageF signed_distance(ImageView<uint8_t> m, int reach_px) {
-    if (reach_px < 4 || reach_px > kernel::kMaxReach_px) throw UsageError("distance: a reach of " + std::to_string(reach_px) + " px, must be 4.." + std::to_string(kernel::kMaxReach_px));
+    if (reach_px < 4 || reach_px > kernel::kMaxReach_px)
+        throw UsageError("distance: a reach of " + std::to_string(reach_px) + " px, must be 4.." + std::to_string(kernel::kMaxReach_px));
     check_mask_size(m.width, m.height, 1);
     const SampledField field = window_field(m, {0, 0, m.width, m.height}, reach_px, 0);
     ImageF out(m.width, m.height);

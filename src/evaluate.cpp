@@ -23,7 +23,8 @@ namespace {
 
 double share(const std::vector<double>& sorted, double s) { return sorted[static_cast<size_t>(s * static_cast<double>(sorted.size() - 1))]; }
 
-SurfaceDistances distances(const std::vector<TriangleTree::Sample>& points, const TriangleTree& to, double threshold, std::vector<double>* angles_deg, const std::function<void(size_t, const TriangleTree::Nearest&)>& visit = {}) {
+SurfaceDistances distances(const std::vector<TriangleTree::Sample>& points, const TriangleTree& to, double threshold, std::vector<double>* angles_deg,
+                           const std::function<void(size_t, const TriangleTree::Nearest&)>& visit = {}) {
     std::vector<double> d(points.size());
     if (angles_deg) angles_deg->resize(points.size());
     tbb::parallel_for(size_t{0}, points.size(), [&](size_t n) {
@@ -82,7 +83,8 @@ Similarity align_points(const std::vector<Vec3d>& from, const std::vector<Vec3d>
     for (const auto& points : {a, b}) {
         const Eigen::Matrix3Xd centred = points.colwise() - points.rowwise().mean();
         const Eigen::Vector3d spread = Eigen::JacobiSVD<Eigen::MatrixXd>(centred * centred.transpose()).singularValues();
-        if (!(spread[1] > 1e-9 * spread[0])) throw UndeterminedError("align: the points lie on one line (or in one place), so the rotation about it cannot be told");
+        if (!(spread[1] > 1e-9 * spread[0]))
+            throw UndeterminedError("align: the points lie on one line (or in one place), so the rotation about it cannot be told");
     }
     const Eigen::Matrix4d m = Eigen::umeyama(a, b, true);
     Similarity out;
@@ -117,7 +119,8 @@ Evaluation evaluate(const Mesh& mesh, const Mesh& truth, const EvaluateOptions& 
                     for (size_t k = 0; k < 3; ++k) c[i] += w[static_cast<Eigen::Index>(k)] * of.colors[of.triangles[static_cast<size_t>(triangle)][k]][i];
                 return lab_from_linear(c);
             };
-            colors[n] = ciede2000(color(mesh, a, points[n].triangle, points[n].point), color(truth, b, nearest.triangle, b.nearest_on(nearest.triangle, points[n].point)));
+            colors[n] = ciede2000(color(mesh, a, points[n].triangle, points[n].point),
+                                  color(truth, b, nearest.triangle, b.nearest_on(nearest.triangle, points[n].point)));
         };
     out.to_truth = distances(points, b, out.threshold, &angles, compare_colors);
     colors.erase(std::remove(colors.begin(), colors.end(), -1.0), colors.end());
@@ -165,17 +168,36 @@ Evaluation evaluate(const Mesh& mesh, const Mesh& truth, const EvaluateOptions& 
 
 std::string evaluation_json(const Evaluation& e) {
     const auto one = [](const SurfaceDistances& d) {
-        return nlohmann::ordered_json{{"mean", d.mean}, {"median", d.median}, {"rms", d.rms}, {"p90", d.p90}, {"p95", d.p95}, {"max", d.max}, {"within_threshold", d.within}};
+        return nlohmann::ordered_json{{"mean", d.mean}, {"median", d.median},          {"rms", d.rms}, {"p90", d.p90}, {"p95", d.p95},
+                                      {"max", d.max},   {"within_threshold", d.within}};
     };
     const auto number = [](double v) { return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr); };
     std::vector<double> r;
     for (int i = 0; i < 9; ++i) r.push_back(e.align.rotation(i / 3, i % 3));
-    const nlohmann::ordered_json j{{"chamfer", e.chamfer}, {"accuracy90", e.accuracy90}, {"completeness", e.from_truth.within}, {"precision", e.to_truth.within},
-                                   {"recall", e.from_truth.within}, {"f_score", e.f_score}, {"hausdorff", e.hausdorff}, {"hausdorff95", e.hausdorff95},
-                                   {"volume", e.volume}, {"truth_volume", e.truth_volume}, {"volume_excess", e.volume_excess}, {"iou", number(e.iou)}, {"truth_lost", number(e.truth_lost)},
-                                   {"normal_error_mean_deg", e.normal_error_mean_deg}, {"normal_error_median_deg", e.normal_error_median_deg}, {"threshold", e.threshold},
-                                   {"truth_size", e.truth_size}, {"color_ciede2000_median", number(e.color_median)}, {"color_ciede2000_p95", number(e.color_p95)}, {"color_ciede2000_mean", number(e.color_mean)}, {"mesh_to_truth", one(e.to_truth)}, {"truth_to_mesh", one(e.from_truth)},
-                                   {"align", {{"scale", e.align.scale}, {"rotation", r}, {"translation", {e.align.translation.x(), e.align.translation.y(), e.align.translation.z()}}}}};
+    const nlohmann::ordered_json j{
+        {"chamfer", e.chamfer},
+        {"accuracy90", e.accuracy90},
+        {"completeness", e.from_truth.within},
+        {"precision", e.to_truth.within},
+        {"recall", e.from_truth.within},
+        {"f_score", e.f_score},
+        {"hausdorff", e.hausdorff},
+        {"hausdorff95", e.hausdorff95},
+        {"volume", e.volume},
+        {"truth_volume", e.truth_volume},
+        {"volume_excess", e.volume_excess},
+        {"iou", number(e.iou)},
+        {"truth_lost", number(e.truth_lost)},
+        {"normal_error_mean_deg", e.normal_error_mean_deg},
+        {"normal_error_median_deg", e.normal_error_median_deg},
+        {"threshold", e.threshold},
+        {"truth_size", e.truth_size},
+        {"color_ciede2000_median", number(e.color_median)},
+        {"color_ciede2000_p95", number(e.color_p95)},
+        {"color_ciede2000_mean", number(e.color_mean)},
+        {"mesh_to_truth", one(e.to_truth)},
+        {"truth_to_mesh", one(e.from_truth)},
+        {"align", {{"scale", e.align.scale}, {"rotation", r}, {"translation", {e.align.translation.x(), e.align.translation.y(), e.align.translation.z()}}}}};
     return j.dump(1);
 }
 

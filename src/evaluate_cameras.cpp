@@ -12,8 +12,11 @@ namespace vdbcarve {
 namespace {
 
 /// Gauss-Newton on the seven parameters of a similarity: the estimate's cameras, moved by it, see the points where the true ones do.
-double reprojection_rms(const std::vector<Camera>& estimate, const std::vector<Camera>& truth, const std::vector<Vec3d>& points, Similarity& truth_from_estimate) {
-    const auto inverse = [](const Similarity& s) { return Similarity{1 / s.scale, s.rotation.transpose(), -(s.rotation.transpose() * s.translation) / s.scale}; };
+double reprojection_rms(const std::vector<Camera>& estimate, const std::vector<Camera>& truth, const std::vector<Vec3d>& points,
+                        Similarity& truth_from_estimate) {
+    const auto inverse = [](const Similarity& s) {
+        return Similarity{1 / s.scale, s.rotation.transpose(), -(s.rotation.transpose() * s.translation) / s.scale};
+    };
     Similarity estimate_from_truth = inverse(truth_from_estimate);
     double rms = 0;
     for (int iteration = 0; iteration < 8; ++iteration) {

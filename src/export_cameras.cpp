@@ -53,13 +53,20 @@ void check(const Views& views, const CameraExportOptions& options, Progress& pro
     std::vector<std::string> turned, missing;
     for (const View& v : views.views) {
         const Intrinsics& k = v.camera.intrinsics;
-        if (k.orthographic) throw InputError(views.camera_file.string() + ": view " + v.name + " is a parallel projection, which neither COLMAP nor transforms.json has");
-        if (std::abs(k.skew) > 1e-9 * k.fx) throw InputError(views.camera_file.string() + ": view " + v.name + " has skewed pixels (" + std::to_string(k.skew) + "), which neither COLMAP nor transforms.json has");
+        if (k.orthographic)
+            throw InputError(views.camera_file.string() + ": view " + v.name + " is a parallel projection, which neither COLMAP nor transforms.json has");
+        if (std::abs(k.skew) > 1e-9 * k.fx)
+            throw InputError(views.camera_file.string() + ": view " + v.name + " has skewed pixels (" + std::to_string(k.skew) +
+                             "), which neither COLMAP nor transforms.json has");
         if (v.orientation != 1) turned.push_back(v.name);
         if (v.image_path.empty()) missing.push_back(v.name);
     }
-    if (options.undistort && !missing.empty()) throw InputError("--undistort: the photographs of " + counted(missing.size(), "view") + " are not there: " + some_of(missing) + ". Remedy: --images DIR");
-    if (!options.undistort && !turned.empty()) progress.warn("cameras of " + counted(turned.size(), "view") + " belong to the photograph turned as its EXIF says, which not every program does: " + some_of(turned) + ". Remedy: --undistort, which writes them turned");
+    if (options.undistort && !missing.empty())
+        throw InputError("--undistort: the photographs of " + counted(missing.size(), "view") + " are not there: " + some_of(missing) +
+                         ". Remedy: --images DIR");
+    if (!options.undistort && !turned.empty())
+        progress.warn("cameras of " + counted(turned.size(), "view") + " belong to the photograph turned as its EXIF says, which not every program does: " +
+                      some_of(turned) + ". Remedy: --undistort, which writes them turned");
     if (!views.unverified.empty()) progress.warn("these cameras are UNVERIFIED: " + some_of(views.unverified));
 }
 
@@ -97,9 +104,12 @@ ColmapModel colmap_model(const Intrinsics& k, const Lens& lens) {
     };
     if (!lens.distorts()) return {"PINHOLE", p};
     switch (lens.model) {
-        case Lens::Model::OpenCVFisheye: return with("OPENCV_FISHEYE", 4);
-        case Lens::Model::FullOpenCV: return with("FULL_OPENCV", 8);
-        default: return with("OPENCV", 4);  // of which the radial ones have the first terms
+        case Lens::Model::OpenCVFisheye:
+            return with("OPENCV_FISHEYE", 4);
+        case Lens::Model::FullOpenCV:
+            return with("FULL_OPENCV", 8);
+        default:
+            return with("OPENCV", 4);  // of which the radial ones have the first terms
     }
 }
 
@@ -121,7 +131,8 @@ void write_colmap(const Views& views, const std::vector<std::string>& names, con
         if (fresh) cameras << camera->second << " " << camera->first << "\n";
         const Eigen::Quaterniond q(posed[i].camera_from_world.rotation);
         const Vec3d& t = posed[i].camera_from_world.translation;
-        images << i + 1 << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << t.x() << " " << t.y() << " " << t.z() << " " << camera->second << " " << names[i] << "\n\n";
+        images << i + 1 << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << t.x() << " " << t.y() << " " << t.z() << " " << camera->second
+               << " " << names[i] << "\n\n";
     }
     const Mesh& m = options.points;
     const size_t every = std::max<size_t>(1, (m.vertices.size() + kMostPoints - 1) / kMostPoints);

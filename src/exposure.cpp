@@ -77,7 +77,8 @@ Eigen::VectorXd solve(Logs& l, size_t views, const ExposureOptions& options) {
                     const auto i = static_cast<Eigen::Index>(l.view[e]);
                     a[chunk](i, i) += l.weight[e];
                     b[chunk][i] -= l.weight[e] * (l.value[e] - mean);
-                    for (uint32_t f = l.first[p]; f < l.first[p + 1]; ++f) a[chunk](i, static_cast<Eigen::Index>(l.view[f])) -= l.weight[e] * l.weight[f] / total;
+                    for (uint32_t f = l.first[p]; f < l.first[p + 1]; ++f)
+                        a[chunk](i, static_cast<Eigen::Index>(l.view[f])) -= l.weight[e] * l.weight[f] / total;
                 }
             }
         });

@@ -15,9 +15,9 @@
 namespace vdbcarve {
 namespace {
 
-constexpr int kMostFeatures = 3000;   ///< of a view, the strongest
+constexpr int kMostFeatures = 3000;       ///< of a view, the strongest
 constexpr double kLeastContrast = 0.012;  ///< a third of what is usual: faint texture is texture, and what it gets wrong the epipolar test sees
-constexpr double kRatio = 0.8;        ///< Lowe's: the best match must be so much nearer than the next
+constexpr double kRatio = 0.8;            ///< Lowe's: the best match must be so much nearer than the next
 constexpr double kEpipolar_px = 2.0;
 
 struct Features {
@@ -74,7 +74,8 @@ std::vector<std::pair<int, int>> matches_of(const Features& a, const Features& b
 
 }  // namespace
 
-std::vector<FeatureTrack> find_tracks(const Views& views, const std::vector<MaskView>& masks, const std::vector<std::pair<size_t, size_t>>& pairs, Progress& progress) {
+std::vector<FeatureTrack> find_tracks(const Views& views, const std::vector<MaskView>& masks, const std::vector<std::pair<size_t, size_t>>& pairs,
+                                      Progress& progress) {
     const size_t n = views.views.size();
     std::vector<Features> features(n);
     tbb::parallel_for(size_t{0}, n, [&](size_t i) {

@@ -22,8 +22,10 @@ struct FeatureTrack {
     std::vector<Sighting> sightings;
 };
 
-/// Features of each pair of views that match each other, checked by the pair's epipolar geometry (RANSAC), chained to tracks; those that return to a view at another place
-/// are dropped. Views without photograph or mask have no features. Throws InputError for photographs that cannot be read. Same result for any number of threads.
-std::vector<FeatureTrack> find_tracks(const Views& views, const std::vector<MaskView>& masks, const std::vector<std::pair<size_t, size_t>>& pairs, Progress& progress);
+/// Features of each pair of views that match each other, checked by the pair's epipolar geometry (RANSAC), chained to tracks; those that return to a view at
+/// another place are dropped. Views without photograph or mask have no features. Throws InputError for photographs that cannot be read. Same result for any
+/// number of threads.
+std::vector<FeatureTrack> find_tracks(const Views& views, const std::vector<MaskView>& masks, const std::vector<std::pair<size_t, size_t>>& pairs,
+                                      Progress& progress);
 
 }  // namespace vdbcarve

@@ -85,7 +85,8 @@ openvdb::GridBase::Ptr turn(const Grid& grid, const FileFrame& frame) {
         origin[static_cast<int>(a)] = frame.scale * (map.mirrored[a] ? -o : o);
     }
     if (const double side = voxel.x() * frame.scale; side < kLeastVoxel)
-        throw OutputError("grid '" + grid.getName() + "': voxels of " + std::to_string(1e6 * side) + "e-6 " + frame.units + " are too small for OpenVDB. Remedy: another --dcc, or none");
+        throw OutputError("grid '" + grid.getName() + "': voxels of " + std::to_string(1e6 * side) + "e-6 " + frame.units +
+                          " are too small for OpenVDB. Remedy: another --dcc, or none");
     auto placed = openvdb::math::Transform::createLinearTransform(voxel.x() * frame.scale);
     placed->postTranslate(origin + openvdb::Vec3d(0.5 * voxel.x() * frame.scale));
     out->setTransform(placed);
@@ -116,9 +117,12 @@ openvdb::GridBase::Ptr turn(const Grid& grid, const FileFrame& frame) {
 const char* color_grid_name(Dcc dcc) { return dcc == Dcc::Houdini ? "Cd" : "color"; }
 
 std::optional<double> metres_per(const std::string& unit) {
-    static const std::map<std::string, double> units{{"m", 1},        {"meter", 1},     {"metre", 1},     {"meters", 1},      {"metres", 1},      {"cm", 0.01},      {"centimeter", 0.01}, {"centimetre", 0.01}, {"centimeters", 0.01}, {"centimetres", 0.01},
-                                                     {"mm", 0.001},   {"millimeter", 0.001}, {"millimetre", 0.001}, {"millimeters", 0.001}, {"millimetres", 0.001}, {"km", 1000},      {"inch", 0.0254},     {"inches", 0.0254},   {"in", 0.0254},        {"ft", 0.3048},
-                                                     {"foot", 0.3048}, {"feet", 0.3048}};
+    static const std::map<std::string, double> units{
+        {"m", 1},         {"meter", 1},          {"metre", 1},          {"meters", 1},          {"metres", 1},
+        {"cm", 0.01},     {"centimeter", 0.01},  {"centimetre", 0.01},  {"centimeters", 0.01},  {"centimetres", 0.01},
+        {"mm", 0.001},    {"millimeter", 0.001}, {"millimetre", 0.001}, {"millimeters", 0.001}, {"millimetres", 0.001},
+        {"km", 1000},     {"inch", 0.0254},      {"inches", 0.0254},    {"in", 0.0254},         {"ft", 0.3048},
+        {"foot", 0.3048}, {"feet", 0.3048}};
     std::string small = unit;
     std::transform(small.begin(), small.end(), small.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
     const auto found = units.find(small);
@@ -148,7 +152,9 @@ FileFrame file_frame(const std::string& extension, const FrameRequest& request) 
         }
     }
     if (extension == ".stl" && request.stl_mm) {
-        if (!metres) throw UsageError("millimetres were asked for, but the scene's unit is " + (request.units.empty() ? std::string("not known") : "'" + request.units + "'") + ". Remedy: --units");
+        if (!metres)
+            throw UsageError("millimetres were asked for, but the scene's unit is " +
+                             (request.units.empty() ? std::string("not known") : "'" + request.units + "'") + ". Remedy: --units");
         in_units("mm");
     } else if (extension == ".glb") {
         in_units("m");
@@ -172,9 +178,11 @@ std::string unknown_frame(const std::string& extension, const FrameRequest& requ
     std::string out;
     const bool glb = extension == ".glb", dcc = request.dcc != Dcc::None;
     if (!metres_per(request.units) && (glb || dcc))
-        out = (request.units.empty() ? std::string("the unit of length is unknown") : "the unit '" + request.units + "' has no length") + ": numbers stay as they are" +
-              (glb ? ", and readers of .glb take 1 unit for 1 m" : "") + ". Remedy: --units, where it is known (of cameras found from silhouettes: with --known-height, --known-distance or --known-length)";
-    if (request.up.empty() && (glb || extension == ".obj" || dcc)) out += std::string(out.empty() ? "" : "; ") + "the up axis is unknown: nothing is turned, and readers of .obj and .glb take y for up. Remedy: --up";
+        out = (request.units.empty() ? std::string("the unit of length is unknown") : "the unit '" + request.units + "' has no length") +
+              ": numbers stay as they are" + (glb ? ", and readers of .glb take 1 unit for 1 m" : "") +
+              ". Remedy: --units, where it is known (of cameras found from silhouettes: with --known-height, --known-distance or --known-length)";
+    if (request.up.empty() && (glb || extension == ".obj" || dcc))
+        out += std::string(out.empty() ? "" : "; ") + "the up axis is unknown: nothing is turned, and readers of .obj and .glb take y for up. Remedy: --up";
     return out;
 }
 

@@ -29,7 +29,12 @@ void grow_by_leaves(openvdb::FloatTree& tree) {
         for (openvdb::Index w = 0; w < 8; ++w) all |= mask.getWord<openvdb::Index64>(w);
         // A word is a layer across x, a byte of it a row along z.
         constexpr uint64_t kFirst = 0x0101010101010101;
-        const bool faces[6] = {mask.getWord<openvdb::Index64>(0) != 0, mask.getWord<openvdb::Index64>(7) != 0, (all & 0xff) != 0, (all >> 56) != 0, (all & kFirst) != 0, (all & kFirst << 7) != 0};
+        const bool faces[6] = {mask.getWord<openvdb::Index64>(0) != 0,
+                               mask.getWord<openvdb::Index64>(7) != 0,
+                               (all & 0xff) != 0,
+                               (all >> 56) != 0,
+                               (all & kFirst) != 0,
+                               (all & kFirst << 7) != 0};
         for (size_t f = 0; f < 6; ++f)
             if (faces[f] && around[n][f] < 0) wanted[n] |= static_cast<uint8_t>(1 << f);
     });

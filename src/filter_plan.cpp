@@ -30,7 +30,8 @@ const Named& named(FilterKind kind) {
 void check_step(const FilterStep& step, const std::string& text) {
     const Named& filter = named(step.kind);
     if (step.width_vox < 1 || step.width_vox > filter.widest)
-        throw UsageError("--filter " + text + ": " + filter.name + " has a width of " + (filter.widest == 1 ? "1 voxel" : "1.." + std::to_string(filter.widest) + " voxels") + ", not " + std::to_string(step.width_vox));
+        throw UsageError("--filter " + text + ": " + filter.name + " has a width of " +
+                         (filter.widest == 1 ? "1 voxel" : "1.." + std::to_string(filter.widest) + " voxels") + ", not " + std::to_string(step.width_vox));
     if (step.iterations < 1 || step.iterations > kMostIterations)
         throw UsageError("--filter " + text + ": " + std::to_string(step.iterations) + " iterations, must be 1.." + std::to_string(kMostIterations));
 }
@@ -96,7 +97,8 @@ int half_width_of(const openvdb::FloatGrid& surface) {
     const double ratio = surface.background() / surface.voxelSize()[0];
     const long width = std::lround(ratio);
     if (width < 2 || width > 100 || std::fabs(ratio - static_cast<double>(width)) > 0.01)
-        throw InputError("filter: the band of grid '" + surface.getName() + "' is " + std::to_string(ratio) + " voxels wide on each side; 2 to 100 whole ones are needed");
+        throw InputError("filter: the band of grid '" + surface.getName() + "' is " + std::to_string(ratio) +
+                         " voxels wide on each side; 2 to 100 whole ones are needed");
     return static_cast<int>(width);
 }
 
@@ -106,7 +108,8 @@ void check_filter(const FilterOptions& options, int half_width_vox) {
     for (const FilterStep& s : options.steps) check_step(s, filters_text({s}));
     const double most = most_keep_thin_vox(half_width_vox);
     if (!(options.keep_thin_vox >= 0 && options.keep_thin_vox <= most))
-        throw UsageError("--keep-thin is " + std::to_string(options.keep_thin_vox) + " voxels, must be 0.." + std::to_string(most).substr(0, 3) + " with a half-width of " + std::to_string(half_width_vox));
+        throw UsageError("--keep-thin is " + std::to_string(options.keep_thin_vox) + " voxels, must be 0.." + std::to_string(most).substr(0, 3) +
+                         " with a half-width of " + std::to_string(half_width_vox));
 }
 
 std::vector<kernel::FilterPass> passes_of(const std::vector<FilterStep>& steps) {
@@ -114,13 +117,21 @@ std::vector<kernel::FilterPass> passes_of(const std::vector<FilterStep>& steps) 
     std::vector<FilterPass> out;
     for (const FilterStep& s : steps)
         for (int n = 0; n < s.iterations; ++n) switch (s.kind) {
-                case FilterKind::Median: out.push_back({FilterPass::Median, s.width_vox, 0}); break;
-                case FilterKind::MeanCurvature: out.push_back({FilterPass::MeanCurvature, 1, 0}); break;
-                case FilterKind::Laplacian: out.push_back({FilterPass::MeanOfSix, 1, 0}); break;
+                case FilterKind::Median:
+                    out.push_back({FilterPass::Median, s.width_vox, 0});
+                    break;
+                case FilterKind::MeanCurvature:
+                    out.push_back({FilterPass::MeanCurvature, 1, 0});
+                    break;
+                case FilterKind::Laplacian:
+                    out.push_back({FilterPass::MeanOfSix, 1, 0});
+                    break;
                 case FilterKind::Gaussian:
                     for (int pass = 0; pass < 12; ++pass) out.push_back({FilterPass::Box, s.width_vox, pass % 3});
                     break;
-                case FilterKind::EdgePreserving: out.push_back({FilterPass::EdgePreserving, s.width_vox, 0}); break;
+                case FilterKind::EdgePreserving:
+                    out.push_back({FilterPass::EdgePreserving, s.width_vox, 0});
+                    break;
             }
     return out;
 }
@@ -141,7 +152,9 @@ void describe_volumes(FilterResult& result, const VolumeRepair& repair, double v
 }
 
 void explain_filtered_away(const FilterOptions& options) {
-    throw ContradictionError("filter: " + filters_text(options.steps) + " leaves nothing of the object: all of it is thinner than the filter is wide. Remedy: a higher --resolution, --keep-thin, or --filter none");
+    throw ContradictionError(
+        "filter: " + filters_text(options.steps) +
+        " leaves nothing of the object: all of it is thinner than the filter is wide. Remedy: a higher --resolution, --keep-thin, or --filter none");
 }
 
 }  // namespace vdbcarve

@@ -17,9 +17,9 @@
 namespace vdbcarve {
 namespace {
 
-constexpr int kSide = 64;             ///< samples across the piece of table that is looked at
-constexpr double kReach = 1.3;        ///< half its side, in radii of the object about its axis
-constexpr int kPhoto_px = 800;        ///< longer side of the photographs it is looked at in
+constexpr int kSide = 64;       ///< samples across the piece of table that is looked at
+constexpr double kReach = 1.3;  ///< half its side, in radii of the object about its axis
+constexpr int kPhoto_px = 800;  ///< longer side of the photographs it is looked at in
 constexpr double kWidestPair_deg = 35, kNarrowestPair_deg = 4;
 constexpr size_t kLeastShared = 150;  ///< samples that both views of a pair see beside the object
 constexpr size_t kLeastPairs = 3;
@@ -27,9 +27,9 @@ constexpr double kLikeness = 0.3, kAhead = 0.1;  ///< a plane stands out when it
 constexpr int kSteps = 90;
 
 struct Picture {
-    cv::Mat grey;     ///< float, without its slow changes
-    cv::Mat outside;  ///< 255 beside the object, with a margin
-    double scale = 0; ///< of the photograph
+    cv::Mat grey;      ///< float, without its slow changes
+    cv::Mat outside;   ///< 255 beside the object, with a margin
+    double scale = 0;  ///< of the photograph
 };
 
 /// What a view sees of a plane: values, and where it sees any.
@@ -54,7 +54,8 @@ double likeness(const Sight& a, const Sight& b) {
 
 }  // namespace
 
-std::optional<Floor> find_table(const openvdb::FloatGrid& hull, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, const std::function<Image8(size_t)>& photo_of, const Vec3d& up, Progress& progress) {
+std::optional<Floor> find_table(const openvdb::FloatGrid& hull, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks,
+                                const std::function<Image8(size_t)>& photo_of, const Vec3d& up, Progress& progress) {
     // The object's axis, radius and height.
     Box3d box;
     for (auto leaf = hull.tree().cbeginLeaf(); leaf; ++leaf)

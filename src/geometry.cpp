@@ -115,8 +115,7 @@ Mat3d turned(const Vec3d& degrees) {
 }
 
 bool is_rotation(const Mat3d& m, double tolerance) {
-    return m.allFinite() && (m * m.transpose() - Mat3d::Identity()).cwiseAbs().maxCoeff() < tolerance &&
-           m.determinant() > 0;
+    return m.allFinite() && (m * m.transpose() - Mat3d::Identity()).cwiseAbs().maxCoeff() < tolerance && m.determinant() > 0;
 }
 
 Mat3d nearest_rotation(const Mat3d& m) {

@@ -20,9 +20,15 @@ cv::Mat undistorted(const cv::Mat& image, const Intrinsics& k, const Lens& lens,
     } else {
         std::vector<double> d(8, 0.0);
         switch (lens.model) {
-            case Lens::Model::SimpleRadial: d[0] = c(0); break;
-            case Lens::Model::Radial: d[0] = c(0); d[1] = c(1); break;
-            default: for (size_t i = 0; i < 8; ++i) d[i] = c(i);
+            case Lens::Model::SimpleRadial:
+                d[0] = c(0);
+                break;
+            case Lens::Model::Radial:
+                d[0] = c(0);
+                d[1] = c(1);
+                break;
+            default:
+                for (size_t i = 0; i < 8; ++i) d[i] = c(i);
         }
         cv::initUndistortRectifyMap(matrix, d, cv::noArray(), matrix, size, CV_32FC1, map_x, map_y);
     }
@@ -33,8 +39,7 @@ cv::Mat undistorted(const cv::Mat& image, const Intrinsics& k, const Lens& lens,
         for (int y = 0; y < k.height_px; ++y)
             for (int x = 0; x < k.width_px; ++x) {
                 const float u = map_x.at<float>(y, x), v = map_y.at<float>(y, x);
-                const bool in = u >= -0.5f && v >= -0.5f && u <= static_cast<float>(image.cols) - 0.5f &&
-                                v <= static_cast<float>(image.rows) - 0.5f;
+                const bool in = u >= -0.5f && v >= -0.5f && u <= static_cast<float>(image.cols) - 0.5f && v <= static_cast<float>(image.rows) - 0.5f;
                 if (!in) outside->at(x, y) = 255;
             }
     }
@@ -43,7 +48,9 @@ cv::Mat undistorted(const cv::Mat& image, const Intrinsics& k, const Lens& lens,
 
 }  // namespace
 
-Image8 undistort(ImageView<uint8_t> image, const Intrinsics& k, const Lens& lens, Image8* outside) { return unwrap(undistorted(wrap(image), k, lens, outside)); }
+Image8 undistort(ImageView<uint8_t> image, const Intrinsics& k, const Lens& lens, Image8* outside) {
+    return unwrap(undistorted(wrap(image), k, lens, outside));
+}
 
 Photo undistort(const Photo& photo, const Intrinsics& k, const Lens& lens) {
     if (photo.pixels8.empty()) return {{}, unwrap<uint16_t>(undistorted(wrap(photo.pixels16.view()), k, lens, nullptr))};
@@ -115,7 +122,8 @@ void stamp(Image8& image, const std::string& word) {
     const double scale = 0.8 * image.width / cv::getTextSize(word, cv::FONT_HERSHEY_SIMPLEX, 1, 3, &below).width;
     const int thickness = std::max(2, static_cast<int>(2 * scale));
     const cv::Size size = cv::getTextSize(word, cv::FONT_HERSHEY_SIMPLEX, scale, thickness, &below);
-    cv::putText(m, word, {(image.width - size.width) / 2, (image.height + size.height) / 2}, cv::FONT_HERSHEY_SIMPLEX, scale, cv::Scalar(230, 40, 40, 255), thickness, cv::LINE_AA);
+    cv::putText(m, word, {(image.width - size.width) / 2, (image.height + size.height) / 2}, cv::FONT_HERSHEY_SIMPLEX, scale, cv::Scalar(230, 40, 40, 255),
+                thickness, cv::LINE_AA);
 }
 
 void write_text(Image8& image, int x, int y, int width, const std::string& text) {

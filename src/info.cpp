@@ -29,7 +29,8 @@ json vdb_info(const fs::path& file) {
         g["voxel_size"] = grid->voxelSize()[0];
         g["active_voxels"] = grid->activeVoxelCount();
         const openvdb::CoordBBox box = grid->evalActiveVoxelBoundingBox();
-        const openvdb::Vec3d lo = grid->indexToWorld(box.min().asVec3d() - openvdb::Vec3d(0.5)), hi = grid->indexToWorld(box.max().asVec3d() + openvdb::Vec3d(0.5));
+        const openvdb::Vec3d lo = grid->indexToWorld(box.min().asVec3d() - openvdb::Vec3d(0.5)),
+                             hi = grid->indexToWorld(box.max().asVec3d() + openvdb::Vec3d(0.5));
         g["active_dims"] = {box.dim()[0], box.dim()[1], box.dim()[2]};
         g["active_world_box"] = {lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]};
         g["memory_bytes"] = grid->memUsage();
@@ -49,8 +50,18 @@ json mesh_info(const fs::path& file) {
             lo[a] = std::min(lo[a], v[a]);
             hi[a] = std::max(hi[a], v[a]);
         }
-    return {{"vertices", m.vertices}, {"faces", m.faces}, {"components", m.components}, {"closed", m.closed}, {"manifold", m.manifold},
-            {"genus", m.genus}, {"volume", m.volume}, {"area", m.area}, {"colors", !mesh.colors.empty()}, {"normals", !mesh.normals.empty()}, {"quads", mesh.quads}, {"box", {lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]}}};
+    return {{"vertices", m.vertices},
+            {"faces", m.faces},
+            {"components", m.components},
+            {"closed", m.closed},
+            {"manifold", m.manifold},
+            {"genus", m.genus},
+            {"volume", m.volume},
+            {"area", m.area},
+            {"colors", !mesh.colors.empty()},
+            {"normals", !mesh.normals.empty()},
+            {"quads", mesh.quads},
+            {"box", {lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]}}};
 }
 
 json scene_info(const fs::path& scene, const fs::path& cameras, Progress& progress) {
@@ -71,8 +82,12 @@ json scene_info(const fs::path& scene, const fs::path& cameras, Progress& progre
     for (const View& v : views.views) {
         const Intrinsics& k = v.camera.intrinsics;
         const Vec3d c = v.camera.centre_world();
-        out["views"].push_back({{"name", v.name}, {"size", {k.width_px, k.height_px}}, {"focal_px", {k.fx, k.fy}}, {"principal_point_px", {k.cx, k.cy}},
-                                {"centre", {c.x(), c.y(), c.z()}}, {"distorted", v.lens.distorts()}});
+        out["views"].push_back({{"name", v.name},
+                                {"size", {k.width_px, k.height_px}},
+                                {"focal_px", {k.fx, k.fy}},
+                                {"principal_point_px", {k.cx, k.cy}},
+                                {"centre", {c.x(), c.y(), c.z()}},
+                                {"distorted", v.lens.distorts()}});
         if (!v.unused.empty()) out["views"].back()["unused"] = v.unused;
     }
     return out;

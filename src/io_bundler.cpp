@@ -64,7 +64,9 @@ Imported read_bundler(const fs::path& file) {
     words.number("the number of points");
     if (!(count >= 1 && count < 1e6)) throw InputError(file.string() + ": " + std::to_string(count) + " cameras");
     std::vector<std::string> names = names_beside(file);
-    if (!names.empty() && static_cast<double>(names.size()) != count) throw InputError(file.string() + ": " + std::to_string(static_cast<size_t>(count)) + " cameras, but " + std::to_string(names.size()) + " images in the list beside it");
+    if (!names.empty() && static_cast<double>(names.size()) != count)
+        throw InputError(file.string() + ": " + std::to_string(static_cast<size_t>(count)) + " cameras, but " + std::to_string(names.size()) +
+                         " images in the list beside it");
     Imported out;
     std::vector<std::string> unregistered;
     for (size_t i = 0; i < static_cast<size_t>(count); ++i) {
@@ -86,7 +88,9 @@ Imported read_bundler(const fs::path& file) {
         if (k.fx == 0) unregistered.push_back(names.empty() ? "number " + std::to_string(i) : v.view.name);
         else out.views.push_back(v);
     }
-    if (!unregistered.empty() && names.empty()) throw InputError(file.string() + ": " + counted(unregistered.size(), "camera") + " not registered (" + some_of(unregistered) + "), and no list.txt beside it that says which images the others belong to");
+    if (!unregistered.empty() && names.empty())
+        throw InputError(file.string() + ": " + counted(unregistered.size(), "camera") + " not registered (" + some_of(unregistered) +
+                         "), and no list.txt beside it that says which images the others belong to");
     if (!unregistered.empty()) out.warnings.push_back(counted(unregistered.size(), "image") + " not registered: left out: " + some_of(unregistered));
     return out;
 }
@@ -128,7 +132,8 @@ Imported read_nvm(const fs::path& file) {
     }
     // VisualSFM's distortion goes from the picture to the pinhole, ours the other way.
     if (!distorted.empty())
-        throw InputError(file.string() + ": radial distortion in VisualSFM's own model (" + some_of(distorted) + "), which is not supported. Remedy: in VisualSFM undistort the images when exporting (CMVS folder: bundle.rd.out), or COLMAP");
+        throw InputError(file.string() + ": radial distortion in VisualSFM's own model (" + some_of(distorted) +
+                         "), which is not supported. Remedy: in VisualSFM undistort the images when exporting (CMVS folder: bundle.rd.out), or COLMAP");
     return out;
 }
 

@@ -20,15 +20,15 @@ namespace fs = std::filesystem;
 struct ImportedView {
     View view;
     double angle_x_rad = 0;
-    double focal_36mm = 0;                   ///< as on 36 mm wide film; > 0: the focal length once the size is known
-    Vec2d centre_36mm = Vec2d::Zero();       ///< the principal point from the middle on, likewise
+    double focal_36mm = 0;              ///< as on 36 mm wide film; > 0: the focal length once the size is known
+    Vec2d centre_36mm = Vec2d::Zero();  ///< the principal point from the middle on, likewise
 };
 
 struct Imported {
     std::vector<ImportedView> views;
     std::vector<Sitting> sittings{Sitting{}};
     std::string up, units;
-    std::optional<double> floor;         ///< along `up`
+    std::optional<double> floor;  ///< along `up`
     std::vector<std::string> unverified;
     bool integer_pixel_centres = false;  ///< the format counts the first pixel's centre as (0, 0)
     bool metric = true;

@@ -14,11 +14,16 @@ struct Model {
     size_t parameters;
     bool supported;
 };
-constexpr Model kModels[] = {{0, "SIMPLE_PINHOLE", 3, true},      {1, "PINHOLE", 4, true},
-                             {2, "SIMPLE_RADIAL", 4, true},       {3, "RADIAL", 5, true},
-                             {4, "OPENCV", 8, true},              {5, "OPENCV_FISHEYE", 8, true},
-                             {6, "FULL_OPENCV", 12, true},        {7, "FOV", 5, false},
-                             {8, "SIMPLE_RADIAL_FISHEYE", 4, false}, {9, "RADIAL_FISHEYE", 5, false},
+constexpr Model kModels[] = {{0, "SIMPLE_PINHOLE", 3, true},
+                             {1, "PINHOLE", 4, true},
+                             {2, "SIMPLE_RADIAL", 4, true},
+                             {3, "RADIAL", 5, true},
+                             {4, "OPENCV", 8, true},
+                             {5, "OPENCV_FISHEYE", 8, true},
+                             {6, "FULL_OPENCV", 12, true},
+                             {7, "FOV", 5, false},
+                             {8, "SIMPLE_RADIAL_FISHEYE", 4, false},
+                             {9, "RADIAL_FISHEYE", 5, false},
                              {10, "THIN_PRISM_FISHEYE", 12, false}};
 
 struct ColmapCamera {
@@ -26,8 +31,7 @@ struct ColmapCamera {
     Lens lens;
 };
 
-ColmapCamera make_camera(const fs::path& file, const std::string& model_name, uint32_t id, int width, int height,
-                         const std::vector<double>& p) {
+ColmapCamera make_camera(const fs::path& file, const std::string& model_name, uint32_t id, int width, int height, const std::vector<double>& p) {
     const Model* model = nullptr;
     for (const Model& m : kModels)
         if (model_name == m.name) model = &m;
@@ -37,8 +41,7 @@ ColmapCamera make_camera(const fs::path& file, const std::string& model_name, ui
                          " is not supported (supported: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, "
                          "OPENCV_FISHEYE, FULL_OPENCV). Remedy: colmap image_undistorter, then use its output");
     if (p.size() != model->parameters)
-        throw InputError(where + ": model " + model_name + " has " + std::to_string(model->parameters) +
-                         " parameters, found " + std::to_string(p.size()));
+        throw InputError(where + ": model " + model_name + " has " + std::to_string(model->parameters) + " parameters, found " + std::to_string(p.size()));
     if (width < 0 || height < 0) throw InputError(where + ": the image size does not fit");
     ColmapCamera c;
     Intrinsics& k = c.intrinsics;
@@ -52,12 +55,23 @@ ColmapCamera make_camera(const fs::path& file, const std::string& model_name, ui
     k.cy = p[at + 1];
     c.lens.coefficients.assign(p.begin() + static_cast<long>(at) + 2, p.end());
     switch (model->id) {
-        case 2: c.lens.model = Lens::Model::SimpleRadial; break;
-        case 3: c.lens.model = Lens::Model::Radial; break;
-        case 4: c.lens.model = Lens::Model::OpenCV; break;
-        case 5: c.lens.model = Lens::Model::OpenCVFisheye; break;
-        case 6: c.lens.model = Lens::Model::FullOpenCV; break;
-        default: c.lens.model = Lens::Model::None;
+        case 2:
+            c.lens.model = Lens::Model::SimpleRadial;
+            break;
+        case 3:
+            c.lens.model = Lens::Model::Radial;
+            break;
+        case 4:
+            c.lens.model = Lens::Model::OpenCV;
+            break;
+        case 5:
+            c.lens.model = Lens::Model::OpenCVFisheye;
+            break;
+        case 6:
+            c.lens.model = Lens::Model::FullOpenCV;
+            break;
+        default:
+            c.lens.model = Lens::Model::None;
     }
     return c;
 }
@@ -116,9 +130,7 @@ std::map<uint32_t, ColmapCamera> read_cameras_bin(const fs::path& file) {
         const Model* model = nullptr;
         for (const Model& m : kModels)
             if (m.id == model_id) model = &m;
-        if (!model)
-            throw InputError(file.string() + ": camera " + std::to_string(id) + ": unknown camera model number " +
-                             std::to_string(model_id));
+        if (!model) throw InputError(file.string() + ": camera " + std::to_string(id) + ": unknown camera model number " + std::to_string(model_id));
         std::vector<double> p(model->parameters);
         for (double& x : p) x = in.read<double>();
         out[id] = make_camera(file, model->name, id, static_cast<int>(width), static_cast<int>(height), p);
@@ -155,8 +167,7 @@ std::map<uint32_t, ColmapCamera> read_cameras_txt(const fs::path& file) {
         std::string model;
         int width = 0, height = 0;
         std::vector<double> p;
-        if (!(words >> model >> width >> height))
-            throw InputError(where + ": expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS…");
+        if (!(words >> model >> width >> height)) throw InputError(where + ": expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS…");
         for (std::string word; words >> word;) {
             p.push_back(number_in(word, where));
         }
@@ -198,8 +209,7 @@ std::vector<ColmapImage> read_images_txt(const fs::path& file) {
 bool understands_colmap(const fs::path& folder) {
     if (!fs::is_directory(folder)) return false;
     const auto has = [&](const char* ext) {
-        return fs::is_regular_file(folder / (std::string("cameras") + ext)) &&
-               fs::is_regular_file(folder / (std::string("images") + ext));
+        return fs::is_regular_file(folder / (std::string("cameras") + ext)) && fs::is_regular_file(folder / (std::string("images") + ext));
     };
     return has(".bin") || has(".txt");
 }
@@ -213,15 +223,14 @@ Imported read_colmap(const fs::path& folder) {
     for (const ColmapImage& image : images) {
         const auto camera = cameras.find(image.camera_id);
         if (camera == cameras.end())
-            throw InputError(images_file.string() + ": image " + image.name + " names camera " +
-                             std::to_string(image.camera_id) + ", which is not in the cameras file");
+            throw InputError(images_file.string() + ": image " + image.name + " names camera " + std::to_string(image.camera_id) +
+                             ", which is not in the cameras file");
         ImportedView v;
         v.view.name = image.name;
         v.view.camera.intrinsics = camera->second.intrinsics;
         v.view.lens = camera->second.lens;
         try {
-            v.view.camera.camera_from_world.rotation =
-                rotation_from_quaternion(image.q[0], image.q[1], image.q[2], image.q[3]);
+            v.view.camera.camera_from_world.rotation = rotation_from_quaternion(image.q[0], image.q[1], image.q[2], image.q[3]);
         } catch (const Error& e) {
             throw InputError(images_file.string() + ": image " + image.name + ": " + e.what());
         }

@@ -25,7 +25,8 @@ using Transform = std::unique_ptr<void, Delete>;
 
 Transform to_srgb(cmsHPROFILE from, cmsUInt32Number format) {
     const Profile srgb(cmsCreate_sRGBProfile());
-    return Transform(cmsCreateTransform(from, format, srgb.get(), format, INTENT_RELATIVE_COLORIMETRIC, cmsFLAGS_BLACKPOINTCOMPENSATION | cmsFLAGS_COPY_ALPHA | cmsFLAGS_NOCACHE));
+    return Transform(cmsCreateTransform(from, format, srgb.get(), format, INTENT_RELATIVE_COLORIMETRIC,
+                                        cmsFLAGS_BLACKPOINTCOMPENSATION | cmsFLAGS_COPY_ALPHA | cmsFLAGS_NOCACHE));
 }
 
 /// Many files carry the profile of what they are anyway; their pixels are to stay to the bit.
@@ -42,8 +43,12 @@ bool changes_nothing(cmsHPROFILE profile) {
     return std::equal(in.begin(), in.end(), out.begin(), [](uint8_t a, uint8_t b) { return std::abs(a - b) <= 1; });
 }
 
-uint32_t big_endian(const uint8_t* p) { return static_cast<uint32_t>(p[0]) << 24 | static_cast<uint32_t>(p[1]) << 16 | static_cast<uint32_t>(p[2]) << 8 | p[3]; }
-uint32_t little_endian(const uint8_t* p) { return static_cast<uint32_t>(p[3]) << 24 | static_cast<uint32_t>(p[2]) << 16 | static_cast<uint32_t>(p[1]) << 8 | p[0]; }
+uint32_t big_endian(const uint8_t* p) {
+    return static_cast<uint32_t>(p[0]) << 24 | static_cast<uint32_t>(p[1]) << 16 | static_cast<uint32_t>(p[2]) << 8 | p[3];
+}
+uint32_t little_endian(const uint8_t* p) {
+    return static_cast<uint32_t>(p[3]) << 24 | static_cast<uint32_t>(p[2]) << 16 | static_cast<uint32_t>(p[1]) << 8 | p[0];
+}
 
 /// Chunk iCCP (PNG 1.2, 11.3.3.3): a name, a zero, the method (0), the profile deflated.
 std::vector<uint8_t> png_profile(const std::vector<uint8_t>& bytes) {
@@ -95,7 +100,9 @@ std::vector<uint8_t> tiff_profile(const std::filesystem::path& file) {
 }  // namespace
 
 std::vector<uint8_t> embedded_profile(const std::vector<uint8_t>& bytes, const std::filesystem::path& file) {
-    const auto starts = [&](const char* with, size_t length, size_t at = 0) { return bytes.size() >= at + length && std::memcmp(bytes.data() + at, with, length) == 0; };
+    const auto starts = [&](const char* with, size_t length, size_t at = 0) {
+        return bytes.size() >= at + length && std::memcmp(bytes.data() + at, with, length) == 0;
+    };
     if (starts("\x89PNG", 4)) return png_profile(bytes);
     if (starts("RIFF", 4) && starts("WEBP", 4, 8)) return webp_profile(bytes);
     if (starts("II*\0", 4) || starts("MM\0*", 4)) return tiff_profile(file);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenCV's FileStorage (YAML, XML, JSON): a calibration (camera_matrix, distortion_coefficients) with each view's rvec and tvec, world to camera; or 3x4 matrices,
-// whatever they are called. Calibrations of chessboards count pixels from the first one's centre; those of ChArUco boards and AprilTags from its corner: --pixel-centre corner.
+// OpenCV's FileStorage (YAML, XML, JSON): a calibration (camera_matrix, distortion_coefficients) with each view's rvec and tvec, world to camera; or 3x4
+// matrices, whatever they are called. Calibrations of chessboards count pixels from the first one's centre; those of ChArUco boards and AprilTags from its
+// corner: --pixel-centre corner.
 #include <algorithm>
 #include <cmath>
 #include <opencv2/calib3d.hpp>
@@ -20,7 +21,9 @@ cv::FileStorage opened(const fs::path& file) {
         in.read(head.data(), static_cast<std::streamsize>(head.size()));
         head.resize(static_cast<size_t>(in.gcount()));
         const std::string extension = file.extension().string();
-        const bool ours = extension == ".xml" ? head.find("<opencv_storage>") != std::string::npos : extension == ".json" ? head.find("\"opencv-matrix\"") != std::string::npos : head.rfind("%YAML", 0) == 0;
+        const bool ours = extension == ".xml"    ? head.find("<opencv_storage>") != std::string::npos
+                          : extension == ".json" ? head.find("\"opencv-matrix\"") != std::string::npos
+                                                 : head.rfind("%YAML", 0) == 0;
         if (ours) return {file.string(), cv::FileStorage::READ};
     } catch (const cv::Exception&) {
     }
@@ -129,16 +132,20 @@ Imported read_filestorage(const fs::path& file) {
         const Found found = everything_in(storage);
         if (found.poses.empty()) return imported_projections(file, found.projections);
         const cv::FileNode root = storage.root();
-        const cv::Mat k = matrix_of(first_of(root, {"camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "M1"})), d = matrix_of(first_of(root, {"distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "D", "D1"}));
+        const cv::Mat k = matrix_of(first_of(root, {"camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "M1"})),
+                      d = matrix_of(first_of(root, {"distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "D", "D1"}));
         if (k.rows != 3 || k.cols != 3) throw InputError(file.string() + ": has poses (rvec, tvec) but no 3x3 camera_matrix");
         Imported out;
         out.integer_pixel_centres = true;
-        out.notes.push_back("pixels are taken as counted from the first one's centre, as chessboard calibrations do. For ChArUco boards and AprilTags: --pixel-centre corner");
+        out.notes.push_back(
+            "pixels are taken as counted from the first one's centre, as chessboard calibrations do. For ChArUco boards and AprilTags: --pixel-centre corner");
         Lens lens;
         std::vector<double> c(static_cast<size_t>(d.total()));
         for (size_t i = 0; i < c.size(); ++i) c[i] = d.at<double>(static_cast<int>(i));
         for (size_t i = 8; i < c.size(); ++i)
-            if (c[i] != 0) throw InputError(file.string() + ": distortion_coefficients has thin-prism or tilt terms (number " + std::to_string(i + 1) + " is not 0); the first 8 are supported. Remedy: calibrate without them");
+            if (c[i] != 0)
+                throw InputError(file.string() + ": distortion_coefficients has thin-prism or tilt terms (number " + std::to_string(i + 1) +
+                                 " is not 0); the first 8 are supported. Remedy: calibrate without them");
         c.resize(std::min<size_t>(c.size(), 8));
         const bool any = std::any_of(c.begin(), c.end(), [](double x) { return x != 0; });
         if (any && c.size() > 4) {
@@ -153,11 +160,20 @@ Imported read_filestorage(const fs::path& file) {
             return n.isInt() ? static_cast<int>(n) : 0;
         };
         for (const Found::Pose& p : found.poses) {
-            if (p.rvec.total() != 3 || p.tvec.total() != 3) throw InputError(file.string() + ": view " + (p.name.empty() ? std::to_string(out.views.size()) : p.name) + ": rvec and tvec must have 3 numbers each");
+            if (p.rvec.total() != 3 || p.tvec.total() != 3)
+                throw InputError(file.string() + ": view " + (p.name.empty() ? std::to_string(out.views.size()) : p.name) +
+                                 ": rvec and tvec must have 3 numbers each");
             ImportedView v;
             v.view.name = p.name;
             v.view.lens = lens;
-            v.view.camera.intrinsics = {k.at<double>(0, 0), k.at<double>(1, 1), k.at<double>(0, 1), k.at<double>(0, 2), k.at<double>(1, 2), size_of({"image_width", "imageWidth", "width"}), size_of({"image_height", "imageHeight", "height"}), false};
+            v.view.camera.intrinsics = {k.at<double>(0, 0),
+                                        k.at<double>(1, 1),
+                                        k.at<double>(0, 1),
+                                        k.at<double>(0, 2),
+                                        k.at<double>(1, 2),
+                                        size_of({"image_width", "imageWidth", "width"}),
+                                        size_of({"image_height", "imageHeight", "height"}),
+                                        false};
             cv::Mat r;
             cv::Rodrigues(p.rvec, r);
             for (int a = 0; a < 3; ++a) {
@@ -167,7 +183,9 @@ Imported read_filestorage(const fs::path& file) {
             out.views.push_back(v);
         }
         const auto nameless = static_cast<size_t>(std::count_if(out.views.begin(), out.views.end(), [](const ImportedView& v) { return v.view.name.empty(); }));
-        if (nameless != 0 && nameless != out.views.size()) throw InputError(file.string() + ": " + counted(nameless, "view") + " of " + std::to_string(out.views.size()) + " without a name. Remedy: a name for all, or for none (then they are the images in natural order)");
+        if (nameless != 0 && nameless != out.views.size())
+            throw InputError(file.string() + ": " + counted(nameless, "view") + " of " + std::to_string(out.views.size()) +
+                             " without a name. Remedy: a name for all, or for none (then they are the images in natural order)");
         return out;
     } catch (const cv::Exception& e) {
         throw InputError(file.string() + ": " + e.what());

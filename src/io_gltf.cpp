@@ -60,13 +60,16 @@ struct Reader {
         const int step = accessor.ByteStride(view);
         component_bytes = tinygltf::GetComponentSizeInBytes(static_cast<uint32_t>(accessor.componentType));
         const int bytes = component_bytes * tinygltf::GetNumComponentsInType(static_cast<uint32_t>(accessor.type));
-        if (step <= 0 || bytes <= 0 || tinygltf::GetNumComponentsInType(static_cast<uint32_t>(accessor.type)) < components) throw bad("has an accessor of another type than its use asks for");
+        if (step <= 0 || bytes <= 0 || tinygltf::GetNumComponentsInType(static_cast<uint32_t>(accessor.type)) < components)
+            throw bad("has an accessor of another type than its use asks for");
         const int kind = accessor.componentType;
-        if (kind != TINYGLTF_COMPONENT_TYPE_FLOAT && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT)
+        if (kind != TINYGLTF_COMPONENT_TYPE_FLOAT && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE && kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT &&
+            kind != TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT)
             throw bad("has an accessor of signed integers, which are not read");
         stride = static_cast<size_t>(step);
         const size_t at = view.byteOffset + accessor.byteOffset;
-        if (accessor.count == 0 || at + stride * (accessor.count - 1) + static_cast<size_t>(bytes) > data.size()) throw bad("an accessor reaches beyond its buffer");
+        if (accessor.count == 0 || at + stride * (accessor.count - 1) + static_cast<size_t>(bytes) > data.size())
+            throw bad("an accessor reaches beyond its buffer");
         first = data.data() + at;
     }
     double value(size_t n, int c) const {
@@ -76,11 +79,16 @@ struct Reader {
             return zero;
         };
         switch (accessor.componentType) {
-            case TINYGLTF_COMPONENT_TYPE_FLOAT: return static_cast<double>(as(float{}));
-            case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE: return as(uint8_t{}) / (accessor.normalized ? 255.0 : 1.0);
-            case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT: return as(uint16_t{}) / (accessor.normalized ? 65535.0 : 1.0);
-            case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT: return as(uint32_t{});
-            default: return 0;
+            case TINYGLTF_COMPONENT_TYPE_FLOAT:
+                return static_cast<double>(as(float{}));
+            case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE:
+                return as(uint8_t{}) / (accessor.normalized ? 255.0 : 1.0);
+            case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT:
+                return as(uint16_t{}) / (accessor.normalized ? 65535.0 : 1.0);
+            case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT:
+                return as(uint32_t{});
+            default:
+                return 0;
         }
     }
 };
@@ -97,8 +105,10 @@ Eigen::Affine3d placement(const tinygltf::Node& node) {
     return out;
 }
 
-void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& primitive, const Eigen::Affine3d& place, const fs::path& file, Mesh& mesh, bool& all_colored, bool& all_normals) {
-    if (primitive.mode != TINYGLTF_MODE_TRIANGLES && primitive.mode != -1) throw InputError(file.string() + ": has a primitive that is no list of triangles, which is not read");
+void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& primitive, const Eigen::Affine3d& place, const fs::path& file, Mesh& mesh,
+                   bool& all_colored, bool& all_normals) {
+    if (primitive.mode != TINYGLTF_MODE_TRIANGLES && primitive.mode != -1)
+        throw InputError(file.string() + ": has a primitive that is no list of triangles, which is not read");
     const auto found = primitive.attributes.find("POSITION");
     if (found == primitive.attributes.end()) return;
     const Reader positions(model, found->second, 3, file);
@@ -133,7 +143,8 @@ void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& prim
     }
     for (size_t n = 0; n + 2 < corners.size(); n += 3) {
         for (size_t c = 0; c < 3; ++c)
-            if (corners[n + c] >= count) throw InputError(file.string() + ": a face names vertex " + std::to_string(corners[n + c]) + " of " + std::to_string(count));
+            if (corners[n + c] >= count)
+                throw InputError(file.string() + ": a face names vertex " + std::to_string(corners[n + c]) + " of " + std::to_string(count));
         const bool mirrored = place.linear().determinant() < 0;
         mesh.triangles.push_back({base + corners[n], base + corners[n + (mirrored ? 2 : 1)], base + corners[n + (mirrored ? 1 : 2)]});
     }
@@ -143,8 +154,10 @@ void add_primitive(const tinygltf::Model& model, const tinygltf::Primitive& prim
 
 void write_glb(std::ostream& out, const Mesh& mesh, const fs::path& file) {
     const size_t n = mesh.vertices.size();
-    const double bytes = static_cast<double>(n) * (24 + (mesh.colors.empty() ? 0 : 8) + (mesh.extrapolated.empty() ? 0 : 4)) + static_cast<double>(mesh.triangles.size()) * 12;
-    if (bytes > 4.29e9) throw OutputError(file.string() + ": needs " + std::to_string(bytes / 1e9).substr(0, 4) + " GB, and a .glb holds 4 GiB. Remedy: --faces, or .ply");
+    const double bytes =
+        static_cast<double>(n) * (24 + (mesh.colors.empty() ? 0 : 8) + (mesh.extrapolated.empty() ? 0 : 4)) + static_cast<double>(mesh.triangles.size()) * 12;
+    if (bytes > 4.29e9)
+        throw OutputError(file.string() + ": needs " + std::to_string(bytes / 1e9).substr(0, 4) + " GB, and a .glb holds 4 GiB. Remedy: --faces, or .ply");
     tinygltf::Model model;
     model.asset.version = "2.0";
     model.asset.generator = std::string("vdbcarve ") + kVersion;
@@ -235,7 +248,8 @@ Mesh read_glb(const fs::path& file) {
             const tinygltf::Node& node = model.nodes.at(static_cast<size_t>(number));
             const Eigen::Affine3d place = parent * placement(node);
             if (node.mesh >= 0)
-                for (const tinygltf::Primitive& p : model.meshes.at(static_cast<size_t>(node.mesh)).primitives) add_primitive(model, p, place, file, mesh, colored, normals);
+                for (const tinygltf::Primitive& p : model.meshes.at(static_cast<size_t>(node.mesh)).primitives)
+                    add_primitive(model, p, place, file, mesh, colored, normals);
             for (int child : node.children) open.emplace_back(child, place);
         }
     } catch (const std::out_of_range&) {

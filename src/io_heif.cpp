@@ -27,9 +27,11 @@ void refuse_unknown_colors(heif_image_handle* handle, const std::filesystem::pat
     const auto transfer = nclx->transfer_characteristics;
     heif_nclx_color_profile_free(nclx);
     const bool known_primaries = primaries == heif_color_primaries_ITU_R_BT_709_5 || primaries == heif_color_primaries_unspecified;
-    const bool known_transfer = transfer == heif_transfer_characteristic_IEC_61966_2_1 || transfer == heif_transfer_characteristic_ITU_R_BT_709_5 || transfer == heif_transfer_characteristic_unspecified;
+    const bool known_transfer = transfer == heif_transfer_characteristic_IEC_61966_2_1 || transfer == heif_transfer_characteristic_ITU_R_BT_709_5 ||
+                                transfer == heif_transfer_characteristic_unspecified;
     if (!known_primaries || !known_transfer)
-        throw InputError(file.string() + ": has colours of a wide or high dynamic range (H.273 primaries " + std::to_string(primaries) + ", transfer " + std::to_string(transfer) + ") without a colour profile. Remedy: save it as an sRGB JPEG or PNG");
+        throw InputError(file.string() + ": has colours of a wide or high dynamic range (H.273 primaries " + std::to_string(primaries) + ", transfer " +
+                         std::to_string(transfer) + ") without a colour profile. Remedy: save it as an sRGB JPEG or PNG");
 }
 
 }  // namespace
@@ -44,7 +46,9 @@ bool is_heif(const std::vector<uint8_t>& bytes) {
 
 Decoded decode_heif(const std::vector<uint8_t>& bytes, const std::filesystem::path& file) {
     const auto need = [&](const heif_error& e) {
-        if (e.code != heif_error_Ok) throw InputError(file.string() + ": is a HEIF picture that cannot be decoded: " + e.message + ". Remedy: save it as JPEG or PNG, or let the camera do so");
+        if (e.code != heif_error_Ok)
+            throw InputError(file.string() + ": is a HEIF picture that cannot be decoded: " + e.message +
+                             ". Remedy: save it as JPEG or PNG, or let the camera do so");
     };
     const std::unique_ptr<heif_context, Release<heif_context_free>> context(heif_context_alloc());
     need(heif_context_read_from_memory_without_copy(context.get(), bytes.data(), bytes.size(), nullptr));
@@ -62,7 +66,8 @@ Decoded decode_heif(const std::vector<uint8_t>& bytes, const std::filesystem::pa
     }
     const int bits = heif_image_handle_get_luma_bits_per_pixel(handle.get());
     const int channels = heif_image_handle_has_alpha_channel(handle.get()) ? 4 : 3;
-    const heif_chroma chroma = bits <= 8 ? (channels == 4 ? heif_chroma_interleaved_RGBA : heif_chroma_interleaved_RGB) : (channels == 4 ? heif_chroma_interleaved_RRGGBBAA_LE : heif_chroma_interleaved_RRGGBB_LE);
+    const heif_chroma chroma = bits <= 8 ? (channels == 4 ? heif_chroma_interleaved_RGBA : heif_chroma_interleaved_RGB)
+                                         : (channels == 4 ? heif_chroma_interleaved_RRGGBBAA_LE : heif_chroma_interleaved_RRGGBB_LE);
     heif_image* decoded = nullptr;
     need(heif_decode_image(handle.get(), &decoded, heif_colorspace_RGB, chroma, nullptr));
     const std::unique_ptr<heif_image, Release<heif_image_release>> image(decoded);
@@ -73,7 +78,8 @@ Decoded decode_heif(const std::vector<uint8_t>& bytes, const std::filesystem::pa
     const size_t row = static_cast<size_t>(width) * static_cast<size_t>(channels);
     if (bits <= 8) {
         out.photo.pixels8 = Image8(width, height, channels);
-        for (int y = 0; y < height; ++y) std::memcpy(out.photo.pixels8.data.data() + row * static_cast<size_t>(y), plane + static_cast<ptrdiff_t>(stride) * y, row);
+        for (int y = 0; y < height; ++y)
+            std::memcpy(out.photo.pixels8.data.data() + row * static_cast<size_t>(y), plane + static_cast<ptrdiff_t>(stride) * y, row);
         return out;
     }
     out.photo.pixels16 = Image16(width, height, channels);

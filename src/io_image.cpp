@@ -66,13 +66,26 @@ Image<T> turn(Image<T> image, int orientation) {
         for (int x = 0; x < out.width; ++x) {
             int sx = x, sy = y;
             switch (orientation) {  // which corner of the stored picture is shown at the upper left (TIFF 6.0, Orientation)
-                case 2: sx = w - 1 - x; break;
-                case 3: sx = w - 1 - x, sy = h - 1 - y; break;
-                case 4: sy = h - 1 - y; break;
-                case 5: sx = y, sy = x; break;
-                case 6: sx = y, sy = h - 1 - x; break;
-                case 7: sx = w - 1 - y, sy = h - 1 - x; break;
-                default: sx = w - 1 - y, sy = x;
+                case 2:
+                    sx = w - 1 - x;
+                    break;
+                case 3:
+                    sx = w - 1 - x, sy = h - 1 - y;
+                    break;
+                case 4:
+                    sy = h - 1 - y;
+                    break;
+                case 5:
+                    sx = y, sy = x;
+                    break;
+                case 6:
+                    sx = y, sy = h - 1 - x;
+                    break;
+                case 7:
+                    sx = w - 1 - y, sy = h - 1 - x;
+                    break;
+                default:
+                    sx = w - 1 - y, sy = x;
             }
             for (int c = 0; c < image.channels; ++c) out.at(x, y, c) = image.at(sx, sy, c);
         }
@@ -142,10 +155,10 @@ std::vector<uint8_t> encode_jpeg(ImageView<uint8_t> image, int quality, double f
         for (int i = 0; i < count; ++i) exif.push_back(static_cast<uint8_t>(value >> (8 * i)));
     };
     for (const char c : {'E', 'x', 'i', 'f', '\0', '\0', 'I', 'I'}) exif.push_back(static_cast<uint8_t>(c));
-    put(42, 2), put(8, 4);                                            // the first directory starts at 8
+    put(42, 2), put(8, 4);                                                   // the first directory starts at 8
     put(1, 2), put(0x8769, 2), put(4, 2), put(1, 4), put(26, 4), put(0, 4);  // one entry: the EXIF directory is at 26
     put(2, 2);
-    put(0x920A, 2), put(5, 2), put(1, 4), put(56, 4);                 // its rational is at 56
+    put(0x920A, 2), put(5, 2), put(1, 4), put(56, 4);  // its rational is at 56
     put(0xA405, 2), put(3, 2), put(1, 4), put(static_cast<uint64_t>(focal_35mm + 0.5), 4);
     put(0, 4);
     put(static_cast<uint64_t>(focal_35mm * 1000 + 0.5), 4), put(1000, 4);

@@ -35,7 +35,8 @@ void listen(j_common_ptr info, int level) {
         case JWRN_HUFF_BAD_CODE:
         case JWRN_MUST_RESYNC:
         case JWRN_NOT_SEQUENTIAL:
-        case JWRN_BOGUS_PROGRESSION: info->err->format_message(info, listener->lost);
+        case JWRN_BOGUS_PROGRESSION:
+            info->err->format_message(info, listener->lost);
     }
 }
 
@@ -106,7 +107,9 @@ Decoded decode_jpeg(const std::vector<uint8_t>& bytes, const std::filesystem::pa
     if (!reader.header(bytes)) throw InputError(file.string() + ": is a JPEG that cannot be read: " + reader.listener.error);
     if (reader.inks) throw InputError(file.string() + ": is a CMYK picture, made for print. Remedy: save it as sRGB");
     if (!reader.picture()) throw InputError(file.string() + ": is a JPEG that cannot be read: " + reader.listener.error);
-    if (reader.listener.lost[0]) throw InputError(file.string() + ": is damaged, a part of the picture is missing: " + reader.listener.lost + ". Remedy: copy it again from the camera, or take it away");
+    if (reader.listener.lost[0])
+        throw InputError(file.string() + ": is damaged, a part of the picture is missing: " + reader.listener.lost +
+                         ". Remedy: copy it again from the camera, or take it away");
     return {{std::move(reader.pixels), {}}, std::move(reader.profile)};
 }
 

@@ -105,10 +105,10 @@ class ArrayImporter : public OpenMesh::IO::BaseImporter {
 void weld(Mesh& mesh) {
     std::vector<uint32_t> order(mesh.vertices.size());
     for (uint32_t i = 0; i < order.size(); ++i) order[i] = i;
-    std::sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return mesh.vertices[a] != mesh.vertices[b] ? mesh.vertices[a] < mesh.vertices[b] : a < b; });
+    std::sort(order.begin(), order.end(),
+              [&](uint32_t a, uint32_t b) { return mesh.vertices[a] != mesh.vertices[b] ? mesh.vertices[a] < mesh.vertices[b] : a < b; });
     std::vector<uint32_t> first(order.size());
-    for (size_t i = 0; i < order.size(); ++i)
-        first[order[i]] = i && mesh.vertices[order[i]] == mesh.vertices[order[i - 1]] ? first[order[i - 1]] : order[i];
+    for (size_t i = 0; i < order.size(); ++i) first[order[i]] = i && mesh.vertices[order[i]] == mesh.vertices[order[i - 1]] ? first[order[i - 1]] : order[i];
     std::vector<uint32_t> renumbered(order.size());
     std::vector<std::array<float, 3>> kept;
     for (uint32_t v = 0; v < first.size(); ++v)
@@ -131,13 +131,16 @@ size_t loose_triangles(const Mesh& mesh) { return mesh.triangles.size() - 2 * me
 
 void put(std::string& out, const void* data, size_t bytes) { out.append(static_cast<const char*>(data), bytes); }
 
-std::array<uint8_t, 3> srgb8(const std::array<float, 3>& linear) { return {srgb8_from_linear(linear[0]), srgb8_from_linear(linear[1]), srgb8_from_linear(linear[2])}; }
+std::array<uint8_t, 3> srgb8(const std::array<float, 3>& linear) {
+    return {srgb8_from_linear(linear[0]), srgb8_from_linear(linear[1]), srgb8_from_linear(linear[2])};
+}
 
 void write_ply(std::ostream& out, const Mesh& mesh) {
     const bool normals = !mesh.normals.empty(), colors = !mesh.colors.empty(), extrapolated = !mesh.extrapolated.empty();
     out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size() << "\nproperty float x\nproperty float y\nproperty float z\n"
-        << (normals ? "property float nx\nproperty float ny\nproperty float nz\n" : "") << (colors ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "")
-        << (extrapolated ? "property uchar extrapolated\n" : "") << "element face " << mesh.triangles.size() - mesh.quads << "\nproperty list uchar int vertex_indices\nend_header\n";
+        << (normals ? "property float nx\nproperty float ny\nproperty float nz\n" : "")
+        << (colors ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "") << (extrapolated ? "property uchar extrapolated\n" : "")
+        << "element face " << mesh.triangles.size() - mesh.quads << "\nproperty list uchar int vertex_indices\nend_header\n";
     const size_t color_at = normals ? 24 : 12, extrapolated_at = color_at + (colors ? 3 : 0), stride = extrapolated_at + (extrapolated ? 1 : 0);
     std::string points(mesh.vertices.size() * stride, '\0');
     tbb::parallel_for(size_t{0}, mesh.vertices.size(), [&](size_t v) {
@@ -191,7 +194,9 @@ void write_obj(std::ostream& out, const Mesh& mesh, const std::string& material_
     text += "usemtl object\n";
     const auto face = [&](const auto& corners) {
         text += "f";
-        for (const uint32_t v : corners) text.append(line, static_cast<size_t>(normals ? std::snprintf(line, sizeof line, " %u//%u", v + 1, v + 1) : std::snprintf(line, sizeof line, " %u", v + 1)));
+        for (const uint32_t v : corners)
+            text.append(line, static_cast<size_t>(normals ? std::snprintf(line, sizeof line, " %u//%u", v + 1, v + 1)
+                                                          : std::snprintf(line, sizeof line, " %u", v + 1)));
         text.push_back('\n');
         flush(kPiece);
     };
@@ -238,7 +243,8 @@ Mesh read_mesh(const fs::path& file) {
     if (ext == ".glb") return read_glb(file);
     Mesh mesh;
     ArrayImporter importer(mesh);
-    OpenMesh::IO::Options options(OpenMesh::IO::Options::VertexColor | (ext == ".ply" ? OpenMesh::IO::Options::VertexNormal : OpenMesh::IO::Options::FaceTexCoord));
+    OpenMesh::IO::Options options(OpenMesh::IO::Options::VertexColor |
+                                  (ext == ".ply" ? OpenMesh::IO::Options::VertexNormal : OpenMesh::IO::Options::FaceTexCoord));
     omerr().disable();
     if (!OpenMesh::IO::IOManager().read(file.string(), importer, options))
         throw InputError(file.string() + ": is not a mesh that can be read (.ply, .obj, .stl, .off, .glb)");
@@ -248,15 +254,15 @@ Mesh read_mesh(const fs::path& file) {
     if (!mesh.texcoords.empty()) mesh.texcoords.resize(mesh.triangles.size());
     for (const auto& t : mesh.triangles)
         for (uint32_t v : t)
-            if (v >= mesh.vertices.size()) throw InputError(file.string() + ": a face names vertex " + std::to_string(v) + " of " + std::to_string(mesh.vertices.size()));
+            if (v >= mesh.vertices.size())
+                throw InputError(file.string() + ": a face names vertex " + std::to_string(v) + " of " + std::to_string(mesh.vertices.size()));
     if (ext == ".stl") weld(mesh);
     return mesh;
 }
 
 void write_mesh(const fs::path& file, const Mesh& mesh) {
     const std::string ext = file.extension().string();
-    if (ext != ".ply" && ext != ".obj" && ext != ".stl" && ext != ".glb")
-        throw UsageError(file.string() + ": meshes are written as .ply, .obj, .stl or .glb");
+    if (ext != ".ply" && ext != ".obj" && ext != ".stl" && ext != ".glb") throw UsageError(file.string() + ": meshes are written as .ply, .obj, .stl or .glb");
     const fs::path material = fs::path(file).replace_extension(".mtl");
     if (ext == ".obj") write_file(material, kMaterial);
     AtomicFile out(file);

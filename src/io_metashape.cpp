@@ -27,7 +27,9 @@ struct Sensor {
 Sensor read_sensor(const pugi::xml_node& node, const std::string& where) {
     Sensor out;
     const std::string type = node.attribute("type").as_string("frame");
-    if (type != "frame") throw InputError(where + ": is of type " + type + "; frame is supported. Remedy: convert the photographs (in Metashape: undistort), or another camera format");
+    if (type != "frame")
+        throw InputError(where + ": is of type " + type +
+                         "; frame is supported. Remedy: convert the photographs (in Metashape: undistort), or another camera format");
     pugi::xml_node calibration;
     for (const pugi::xml_node& c : node.children("calibration"))
         if (!calibration || std::string(c.attribute("class").as_string()) == "adjusted") calibration = c;
@@ -47,7 +49,8 @@ Sensor read_sensor(const pugi::xml_node& node, const std::string& where) {
     k.skew = value("b2");
     k.cx = 0.5 * k.width_px + value("cx");
     k.cy = 0.5 * k.height_px + value("cy");
-    if (value("k4") != 0 || value("p3") != 0 || value("p4") != 0) throw InputError(where + ": k4, p3 or p4 is not 0; k1 to k3, p1 and p2 are supported. Remedy: optimise the cameras in Metashape without them");
+    if (value("k4") != 0 || value("p3") != 0 || value("p4") != 0)
+        throw InputError(where + ": k4, p3 or p4 is not 0; k1 to k3, p1 and p2 are supported. Remedy: optimise the cameras in Metashape without them");
     const double k1 = value("k1"), k2 = value("k2"), k3 = value("k3"), p1 = value("p2"), p2 = value("p1");
     if (k3 != 0) out.lens = {Lens::Model::FullOpenCV, {k1, k2, p1, p2, k3, 0, 0, 0}};
     else if (k1 != 0 || k2 != 0 || p1 != 0 || p2 != 0) out.lens = {Lens::Model::OpenCV, {k1, k2, p1, p2}};
@@ -79,7 +82,8 @@ bool understands_metashape(const fs::path& file) {
 
 Imported read_metashape(const fs::path& file) {
     pugi::xml_document document;
-    if (const pugi::xml_parse_result parsed = document.load_file(file.c_str()); !parsed) throw InputError(file.string() + ": is not XML: " + parsed.description());
+    if (const pugi::xml_parse_result parsed = document.load_file(file.c_str()); !parsed)
+        throw InputError(file.string() + ": is not XML: " + parsed.description());
     const pugi::xml_node chunk = document.child("document").child("chunk");
     std::map<std::string, Sensor> sensors;
     std::map<std::string, std::string> broken;  // said only where a camera needs it
@@ -93,7 +97,9 @@ Imported read_metashape(const fs::path& file) {
     }
     std::map<std::string, Similarity> components;
     for (const pugi::xml_node& c : chunk.child("components").children("component"))
-        if (c.child("transform")) components[c.attribute("id").as_string()] = read_similarity(c.child("transform"), file.string() + ": component " + c.attribute("label").as_string());
+        if (c.child("transform"))
+            components[c.attribute("id").as_string()] =
+                read_similarity(c.child("transform"), file.string() + ": component " + c.attribute("label").as_string());
     const Similarity whole = chunk.child("transform") ? read_similarity(chunk.child("transform"), file.string() + ": chunk") : Similarity();
 
     Imported out;
@@ -135,9 +141,12 @@ Imported read_metashape(const fs::path& file) {
         else if (std::string(c.name()) == "group")
             for (const pugi::xml_node& inner : c.children("camera")) add(inner);
     }
-    if (!unaligned.empty()) out.warnings.push_back(counted(unaligned.size(), "camera") + " without a transform, not aligned by Metashape: left out: " + some_of(unaligned));
+    if (!unaligned.empty())
+        out.warnings.push_back(counted(unaligned.size(), "camera") + " without a transform, not aligned by Metashape: left out: " + some_of(unaligned));
     if (!disabled.empty()) out.notes.push_back(counted(disabled.size(), "camera") + " switched off in Metashape: left out: " + some_of(disabled));
-    if (views_of_component.size() > 1) out.warnings.push_back("cameras of " + std::to_string(views_of_component.size()) + " components: do they lie in one world? Remedy: merge components in Metashape, or export one");
+    if (views_of_component.size() > 1)
+        out.warnings.push_back("cameras of " + std::to_string(views_of_component.size()) +
+                               " components: do they lie in one world? Remedy: merge components in Metashape, or export one");
     return out;
 }
 

@@ -36,8 +36,7 @@ Imported read_middlebury(const fs::path& file) {
         double values[21];
         for (int i = 0; i < 21; ++i) {
             std::string word;
-            if (!(words >> word))
-                throw InputError(where + ": view " + name + " has " + std::to_string(i) + " numbers, 21 expected");
+            if (!(words >> word)) throw InputError(where + ": view " + name + " has " + std::to_string(i) + " numbers, 21 expected");
             values[i] = number_in(word, where + ": view " + name);
         }
         ImportedView v;
@@ -56,8 +55,7 @@ Imported read_middlebury(const fs::path& file) {
     }
     if (!have_count) throw InputError(file.string() + ": is empty");
     if (out.views.size() != count)
-        throw InputError(file.string() + ": announces " + std::to_string(count) + " views and lists " +
-                         std::to_string(out.views.size()));
+        throw InputError(file.string() + ": announces " + std::to_string(count) + " views and lists " + std::to_string(out.views.size()));
     return out;
 }
 

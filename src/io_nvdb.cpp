@@ -60,7 +60,9 @@ void finish_nanovdb(NanoBuffer& buffer, const openvdb::math::Transform& transfor
 
 NanoBuffer to_nanovdb(const openvdb::FloatGrid& grid, bool finished) { return copy_of(handle_of(grid, finished)); }
 
-NanoBuffer to_nanovdb(const openvdb::Vec3SGrid& grid) { return copy_of(nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::Disable, nanovdb::ChecksumMode::Disable)); }
+NanoBuffer to_nanovdb(const openvdb::Vec3SGrid& grid) {
+    return copy_of(nanovdb::openToNanoVDB<nanovdb::HostBuffer>(grid, nanovdb::StatsMode::Disable, nanovdb::ChecksumMode::Disable));
+}
 
 std::string invalid_nanovdb(const NanoBuffer& buffer) { return nanovdb::GridValidator<float>::check(*grid_in(buffer), true); }
 
@@ -69,7 +71,8 @@ void write_nvdb(const fs::path& file, const openvdb::GridCPtrVec& grids) {
     std::vector<Handle> handles;
     for (const auto& grid : grids) {
         try {
-            handles.push_back(nanovdb::openToNanoVDB<nanovdb::HostBuffer>(openvdb::ConstPtrCast<openvdb::GridBase>(grid), nanovdb::StatsMode::All, nanovdb::ChecksumMode::Full));
+            handles.push_back(nanovdb::openToNanoVDB<nanovdb::HostBuffer>(openvdb::ConstPtrCast<openvdb::GridBase>(grid), nanovdb::StatsMode::All,
+                                                                          nanovdb::ChecksumMode::Full));
         } catch (const std::exception& e) {
             throw UsageError(file.string() + ": grid '" + grid->getName() + "' (" + grid->valueType() + ") has no NanoVDB form: " + e.what());
         }

@@ -22,8 +22,7 @@ std::vector<fs::path> pa_files(const fs::path& folder) {
     std::vector<fs::path> out;
     for (const auto& entry : fs::directory_iterator(folder))
         if (entry.is_regular_file() && entry.path().extension() == ".pa") out.push_back(entry.path());
-    std::sort(out.begin(), out.end(),
-              [](const fs::path& a, const fs::path& b) { return natural_less(a.string(), b.string()); });
+    std::sort(out.begin(), out.end(), [](const fs::path& a, const fs::path& b) { return natural_less(a.string(), b.string()); });
     return out;
 }
 
@@ -57,8 +56,7 @@ Imported read_projections(const fs::path& candidate) {
         const fs::path folder = fs::is_directory(candidate) ? candidate : candidate.parent_path();
         for (const fs::path& file : pa_files(folder)) {
             const std::vector<double> v = numbers_in(file);
-            if (v.size() != 12)
-                throw InputError(file.string() + ": has " + std::to_string(v.size()) + " numbers, a 3x4 matrix has 12");
+            if (v.size() != 12) throw InputError(file.string() + ": has " + std::to_string(v.size()) + " numbers, a 3x4 matrix has 12");
             matrices.push_back({file.stem().string(), to_matrix(v.data())});
         }
     }

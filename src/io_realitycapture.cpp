@@ -42,17 +42,21 @@ Imported read_realitycapture(const fs::path& file) {
         if (line.empty() || line[0] == '#' || line == "\r") continue;
         const std::vector<std::string> cells = cells_of(line);
         const std::string where = file.string() + ": line " + std::to_string(number);
-        if (cells.size() != columns.size()) throw InputError(where + ": has " + std::to_string(cells.size()) + " values, the header names " + std::to_string(columns.size()));
+        if (cells.size() != columns.size())
+            throw InputError(where + ": has " + std::to_string(cells.size()) + " values, the header names " + std::to_string(columns.size()));
         std::map<std::string, double> value;
         for (size_t i = 1; i < cells.size(); ++i) value[columns[i]] = number_in(cells[i], where + ": " + columns[i]);
         for (const char* name : {"k1", "k2", "k3", "k4", "t1", "t2"})
             if (value.count(name) && value[name] != 0)
-                throw InputError(where + ": " + cells[0] + " has lens distortion (" + name + "), whose formula RealityCapture does not say. Remedy: export undistorted images, or as COLMAP");
+                throw InputError(where + ": " + cells[0] + " has lens distortion (" + name +
+                                 "), whose formula RealityCapture does not say. Remedy: export undistorted images, or as COLMAP");
         ImportedView v;
         v.view.name = cells[0];
         // As in an aeroplane: heading clockwise from y, pitch up from straight down, roll; the camera's axes as OpenGL's.
         constexpr double kRadians = std::numbers::pi / 180;
-        const Mat3d world_from_gl = (Eigen::AngleAxisd(-value["heading"] * kRadians, Vec3d::UnitZ()) * Eigen::AngleAxisd(value["pitch"] * kRadians, Vec3d::UnitX()) * Eigen::AngleAxisd(value["roll"] * kRadians, Vec3d::UnitY())).toRotationMatrix();
+        const Mat3d world_from_gl = (Eigen::AngleAxisd(-value["heading"] * kRadians, Vec3d::UnitZ()) *
+                                     Eigen::AngleAxisd(value["pitch"] * kRadians, Vec3d::UnitX()) * Eigen::AngleAxisd(value["roll"] * kRadians, Vec3d::UnitY()))
+                                        .toRotationMatrix();
         v.view.camera.camera_from_world = Rigid3{world_from_gl * Vec3d(1, -1, -1).asDiagonal(), Vec3d(value["x"], value["y"], value["alt"])}.inverse();
         v.focal_36mm = value["f"];
         v.centre_36mm = {value["px"], value["py"]};

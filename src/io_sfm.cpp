@@ -12,7 +12,9 @@ namespace {
 using nlohmann::json;
 
 bool is_openmvg(const json& j) { return j.is_object() && j.contains("sfm_data_version") && j.contains("views") && j.contains("extrinsics"); }
-bool is_meshroom(const json& j) { return j.is_object() && j.contains("version") && j["version"].is_array() && j.contains("views") && j.contains("intrinsics") && j.contains("poses"); }
+bool is_meshroom(const json& j) {
+    return j.is_object() && j.contains("version") && j["version"].is_array() && j.contains("views") && j.contains("intrinsics") && j.contains("poses");
+}
 
 /// AliceVision writes numbers as strings.
 double number_of(const json& j) { return j.is_string() ? number_in(j.get<std::string>(), "a value") : j.get<double>(); }
@@ -27,7 +29,9 @@ struct Lensed {
 /// Radial and tangential terms by the names that both programs give them; OpenCV's formulas.
 Lens lens_of(const std::string& type, const std::vector<double>& c, const std::string& where) {
     const auto at = [&](size_t i) { return i < c.size() ? c[i] : 0.0; };
-    const auto ends = [&](const char* with) { return type.size() >= std::string(with).size() && type.compare(type.size() - std::string(with).size(), std::string::npos, with) == 0; };
+    const auto ends = [&](const char* with) {
+        return type.size() >= std::string(with).size() && type.compare(type.size() - std::string(with).size(), std::string::npos, with) == 0;
+    };
     bool any = false;
     for (const double x : c) any |= x != 0;
     if (!any || type == "pinhole") return {};
@@ -66,7 +70,8 @@ Imported read_openmvg(const fs::path& file, const json& top) {
     for (const json& entry : top.at("extrinsics")) {
         Mat3d rotation;
         Vec3d centre;
-        for (int i = 0; i < 9; ++i) rotation(i / 3, i % 3) = entry.at("value").at("rotation").at(static_cast<size_t>(i / 3)).at(static_cast<size_t>(i % 3)).get<double>();
+        for (int i = 0; i < 9; ++i)
+            rotation(i / 3, i % 3) = entry.at("value").at("rotation").at(static_cast<size_t>(i / 3)).at(static_cast<size_t>(i % 3)).get<double>();
         for (int i = 0; i < 3; ++i) centre[i] = entry.at("value").at("center").at(static_cast<size_t>(i)).get<double>();
         poses[entry.at("key").get<uint64_t>()] = pose_of(rotation, centre);
     }
@@ -110,7 +115,8 @@ Imported read_meshroom(const fs::path& file, const json& top) {
             k.fy = f.is_array() && f.size() > 1 ? number_of(f.at(1)) : k.fx;
         } else {  // millimetres since 1.2.2
             k.fx = k.fy = number_of(i, "focalLength") / number_of(i, "sensorWidth") * k.width_px;
-            if (i.contains("pixelRatio") && std::abs(number_of(i, "pixelRatio") - 1) > 1e-9) throw InputError(where + ": has a pixel ratio of " + text_in(i["pixelRatio"]) + ", which is not supported. Remedy: export undistorted images");
+            if (i.contains("pixelRatio") && std::abs(number_of(i, "pixelRatio") - 1) > 1e-9)
+                throw InputError(where + ": has a pixel ratio of " + text_in(i["pixelRatio"]) + ", which is not supported. Remedy: export undistorted images");
         }
         const json& p = i.at("principalPoint");
         k.cx = number_of(p.at(0));
@@ -123,7 +129,8 @@ Imported read_meshroom(const fs::path& file, const json& top) {
         for (const char* name : {"distortionParams"})
             if (i.contains(name) && i[name].is_array())
                 for (const json& x : i[name]) terms.push_back(number_of(x));
-        const std::string type = i.contains("distortionType") && i["distortionType"] != "none" ? i["distortionType"].get<std::string>() : i.value("type", "pinhole");
+        const std::string type =
+            i.contains("distortionType") && i["distortionType"] != "none" ? i["distortionType"].get<std::string>() : i.value("type", "pinhole");
         c.lens = lens_of(type, terms, where);
         cameras[id] = c;
     }
@@ -140,7 +147,8 @@ Imported read_meshroom(const fs::path& file, const json& top) {
     for (const json& entry : top.at("views")) {
         ImportedView v;
         v.view.name = fs::path(entry.at("path").get<std::string>()).filename().string();  // an absolute path, often of another machine
-        if (entry.contains("rigId")) throw InputError(file.string() + ": view " + v.view.name + " belongs to a rig of cameras, which is not supported. Remedy: export as COLMAP");
+        if (entry.contains("rigId"))
+            throw InputError(file.string() + ": view " + v.view.name + " belongs to a rig of cameras, which is not supported. Remedy: export as COLMAP");
         const auto pose = poses.find(text_in(entry.contains("poseId") ? entry["poseId"] : entry.at("viewId")));
         const auto camera = entry.contains("intrinsicId") ? cameras.find(text_in(entry["intrinsicId"])) : cameras.end();
         if (pose == poses.end() || camera == cameras.end()) {

@@ -34,8 +34,11 @@ SyntheticSpec read_spec(const fs::path& file) {
         if (j.contains("mesh")) spec.mesh = read_mesh(file.parent_path() / j["mesh"].get<std::string>());
         if (j.contains("texture")) spec.texture = read_texture(file.parent_path() / j["texture"].get<std::string>());
         if (j.contains("pattern")) spec.pattern = pattern_called(j["pattern"]);
-        static const std::pair<const char*, Solid::Kind> kinds[] = {
-            {"ellipsoid", Solid::Kind::Ellipsoid}, {"box", Solid::Kind::Box}, {"torus", Solid::Kind::Torus}, {"cup", Solid::Kind::Cup}, {"bowl", Solid::Kind::Bowl}};
+        static const std::pair<const char*, Solid::Kind> kinds[] = {{"ellipsoid", Solid::Kind::Ellipsoid},
+                                                                    {"box", Solid::Kind::Box},
+                                                                    {"torus", Solid::Kind::Torus},
+                                                                    {"cup", Solid::Kind::Cup},
+                                                                    {"bowl", Solid::Kind::Bowl}};
         const auto vec = [](const json& a) { return Vec3d(a.at(0), a.at(1), a.at(2)); };
         for (const json& s : j.value("solids", json::array())) {
             known(s, {"type", "size", "centre", "turn_deg", "color"}, "solids: ");
@@ -52,8 +55,11 @@ SyntheticSpec read_spec(const fs::path& file) {
         }
         if (j.contains("rig")) {
             const json& r = j["rig"];
-            known(r, {"type", "motion", "start_deg", "arc_deg", "speed_variation", "sittings", "lens", "breathing", "crop_drift_px", "views", "elevation_deg", "rings", "fov_deg", "distance", "fill", "orthographic", "width", "height", "pixel_aspect",
-                      "shake_angle_deg", "shake_elevation_deg", "shake_roll_deg", "shake_position", "shake_look_at"}, "rig: ");
+            known(r, {"type",           "motion",         "start_deg",    "arc_deg",       "speed_variation", "sittings",        "lens",
+                      "breathing",      "crop_drift_px",  "views",        "elevation_deg", "rings",           "fov_deg",         "distance",
+                      "fill",           "orthographic",   "width",        "height",        "pixel_aspect",    "shake_angle_deg", "shake_elevation_deg",
+                      "shake_roll_deg", "shake_position", "shake_look_at"},
+                  "rig: ");
             Rig& rig = spec.rig;
             const std::string type = r.value("type", "orbit");
             if (type == "orbit") rig.kind = Rig::Kind::Orbit;
@@ -91,7 +97,10 @@ SyntheticSpec read_spec(const fs::path& file) {
         }
         if (j.contains("look")) {
             const json& l = j["look"];
-            known(l, {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif", "film_rate_hz", "exposure_jitter", "flat", "light_drift", "backdrop", "spill", "plates"}, "look: ");
+            known(l,
+                  {"gloss", "table", "table_reflection", "blur_px", "noise", "jpeg_quality", "exif", "film_rate_hz", "exposure_jitter", "flat", "light_drift",
+                   "backdrop", "spill", "plates"},
+                  "look: ");
             PhotoLook& look = spec.look;
             look.gloss = l.value("gloss", look.gloss);
             look.table = l.value("table", look.table);

@@ -24,14 +24,12 @@ double number(const json& frame, const json& top, const char* key, double fallba
 
 Mat4d matrix(const json& rows, const char* key) {
     Mat4d m = Mat4d::Identity();
-    if (!rows.is_array() || (rows.size() != 3 && rows.size() != 4))
-        throw InputError(std::string("'") + key + "' is not a 3x4 or 4x4 matrix");
+    if (!rows.is_array() || (rows.size() != 3 && rows.size() != 4)) throw InputError(std::string("'") + key + "' is not a 3x4 or 4x4 matrix");
     for (size_t r = 0; r < rows.size(); ++r) {
         if (!rows[r].is_array() || rows[r].size() != 4) throw InputError(std::string("'") + key + "' has a row without 4 numbers");
         for (size_t c = 0; c < 4; ++c) {
             // JSON has no NaN; writers put null or a string there.
-            m(static_cast<int>(r), static_cast<int>(c)) =
-                rows[r][c].is_number() ? rows[r][c].get<double>() : std::numeric_limits<double>::quiet_NaN();
+            m(static_cast<int>(r), static_cast<int>(c)) = rows[r][c].is_number() ? rows[r][c].get<double>() : std::numeric_limits<double>::quiet_NaN();
         }
     }
     return m;
@@ -49,14 +47,13 @@ Lens lens_of(const json& frame, const json& top) {
         lens.coefficients = {get("k1"), get("k2"), get("k3"), get("k4")};
         return lens;
     }
-    if (!model.empty() && model != "OPENCV" && model != "PINHOLE" && model != "SIMPLE_PINHOLE" &&
-        model != "FULL_OPENCV" && model != "SIMPLE_RADIAL" && model != "RADIAL" && model != "ORTHOGRAPHIC")
+    if (!model.empty() && model != "OPENCV" && model != "PINHOLE" && model != "SIMPLE_PINHOLE" && model != "FULL_OPENCV" && model != "SIMPLE_RADIAL" &&
+        model != "RADIAL" && model != "ORTHOGRAPHIC")
         throw InputError("camera_model " + model + " is not supported (supported: PINHOLE, OPENCV, FULL_OPENCV, OPENCV_FISHEYE)");
     const double k1 = get("k1"), k2 = get("k2"), k3 = get("k3"), k4 = get("k4"), k5 = get("k5"), k6 = get("k6");
     const double p1 = get("p1"), p2 = get("p2");
     if (k3 != 0 || k4 != 0 || k5 != 0 || k6 != 0) {
-        if (k4 != 0 && model != "FULL_OPENCV")
-            throw InputError("k4 is set without camera_model FULL_OPENCV or OPENCV_FISHEYE: which lens is meant?");
+        if (k4 != 0 && model != "FULL_OPENCV") throw InputError("k4 is set without camera_model FULL_OPENCV or OPENCV_FISHEYE: which lens is meant?");
         lens.model = Lens::Model::FullOpenCV;
         lens.coefficients = {k1, k2, p1, p2, k3, k4, k5, k6};
     } else if (k1 != 0 || k2 != 0 || p1 != 0 || p2 != 0) {
@@ -92,8 +89,8 @@ bool understands_transforms(const fs::path& file) {
     if (!fs::is_regular_file(file) || file.extension() != ".json") return false;
     try {
         const json j = parse_json(file);
-        return j.is_object() && j.contains("frames") && j["frames"].is_array() && !j["frames"].empty() &&
-               j["frames"][0].is_object() && j["frames"][0].contains("transform_matrix");
+        return j.is_object() && j.contains("frames") && j["frames"].is_array() && !j["frames"].empty() && j["frames"][0].is_object() &&
+               j["frames"][0].contains("transform_matrix");
     } catch (const Error&) {
         return false;
     }
@@ -120,8 +117,8 @@ Imported read_checked(const fs::path& file, const json& top) {
     Imported out;
     const json* ours = top.contains("vdbcarve") ? &top["vdbcarve"] : nullptr;
     if (ours && ours->value("schema", 0) != 1)
-        throw InputError(file.string() + ": was written by a newer vdbcarve (cameras.json schema " +
-                         std::to_string(ours->value("schema", 0)) + ", this program reads 1)");
+        throw InputError(file.string() + ": was written by a newer vdbcarve (cameras.json schema " + std::to_string(ours->value("schema", 0)) +
+                         ", this program reads 1)");
     out.up = ours ? ours->value("up", "") : "z";
     Mat4d original_from_world = Mat4d::Identity();
     if (top.contains("applied_transform") && !ours) {
@@ -176,8 +173,7 @@ Imported read_checked(const fs::path& file, const json& top) {
             if (k.fx == 0) v.angle_x_rad = number(frame, top, "camera_angle_x", 0);
             if (k.fx == 0 && v.angle_x_rad == 0) throw InputError("no focal length: neither 'fl_x' nor 'camera_angle_x'");
             v.view.lens = lens_of(frame, top);
-            if (frame.contains("mask_path") && frame["mask_path"].is_string())
-                v.view.mask_path = frame["mask_path"].get<std::string>();
+            if (frame.contains("mask_path") && frame["mask_path"].is_string()) v.view.mask_path = frame["mask_path"].get<std::string>();
             if (frame.contains("vdbcarve")) {
                 const json& extra = frame["vdbcarve"];
                 k.skew = extra.value("skew", 0.0);
@@ -217,7 +213,8 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
     json& frames = top["frames"] = json::array();
     // Base names where they tell the views apart, else the camera file's own names, folders included.
     std::set<std::string> base_names;
-    for (const View& view : views.views) base_names.insert(std::filesystem::path(view.image_path.empty() ? view.name : view.image_path.string()).filename().string());
+    for (const View& view : views.views)
+        base_names.insert(std::filesystem::path(view.image_path.empty() ? view.name : view.image_path.string()).filename().string());
     const bool unique = base_names.size() == views.views.size();
     for (const View& view : views.views) {
         const Intrinsics& k = view.camera.intrinsics;
@@ -240,11 +237,25 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
             }
         };
         switch (view.lens.model) {
-            case Lens::Model::None: f["camera_model"] = k.orthographic ? "ORTHOGRAPHIC" : "PINHOLE"; break;
-            case Lens::Model::SimpleRadial: f["camera_model"] = "OPENCV"; set({"k1"}); break;
-            case Lens::Model::Radial: f["camera_model"] = "OPENCV"; set({"k1", "k2"}); break;
-            case Lens::Model::OpenCV: f["camera_model"] = "OPENCV"; set({"k1", "k2", "p1", "p2"}); break;
-            case Lens::Model::OpenCVFisheye: f["camera_model"] = "OPENCV_FISHEYE"; set({"k1", "k2", "k3", "k4"}); break;
+            case Lens::Model::None:
+                f["camera_model"] = k.orthographic ? "ORTHOGRAPHIC" : "PINHOLE";
+                break;
+            case Lens::Model::SimpleRadial:
+                f["camera_model"] = "OPENCV";
+                set({"k1"});
+                break;
+            case Lens::Model::Radial:
+                f["camera_model"] = "OPENCV";
+                set({"k1", "k2"});
+                break;
+            case Lens::Model::OpenCV:
+                f["camera_model"] = "OPENCV";
+                set({"k1", "k2", "p1", "p2"});
+                break;
+            case Lens::Model::OpenCVFisheye:
+                f["camera_model"] = "OPENCV_FISHEYE";
+                set({"k1", "k2", "k3", "k4"});
+                break;
             case Lens::Model::FullOpenCV:
                 f["camera_model"] = "FULL_OPENCV";
                 set({"k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"});
@@ -254,9 +265,7 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
         Mat4d gl = world_from_camera.matrix();
         gl.topLeftCorner<3, 3>() = world_from_camera.rotation * Mat3d(Vec3d(1, -1, -1).asDiagonal());
         f["transform_matrix"] = rows_of(gl);
-        f["vdbcarve"] = {{"sitting", view.sitting},
-                         {"skew", k.skew},
-                         {"orthographic", k.orthographic}};
+        f["vdbcarve"] = {{"sitting", view.sitting}, {"skew", k.skew}, {"orthographic", k.orthographic}};
         if (view.orientation != 1) f["vdbcarve"]["orientation"] = view.orientation;
         if (!view.unused.empty()) f["vdbcarve"]["unused"] = view.unused;
         frames.push_back(f);
@@ -269,8 +278,7 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
     if (!views.unverified.empty()) ours["unverified"] = views.unverified;
     json& sittings = ours["sittings"] = json::array();
     for (const Sitting& s : views.sittings) {
-        sittings.push_back(
-            {{"id", s.id}, {"scale", s.scale}, {"scene_from_sitting", rows_of(s.scene_from_sitting.matrix())}});
+        sittings.push_back({{"id", s.id}, {"scale", s.scale}, {"scene_from_sitting", rows_of(s.scene_from_sitting.matrix())}});
     }
     return top.dump(1) + "\n";
 }

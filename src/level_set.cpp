@@ -40,14 +40,21 @@ void fill_halo(const std::array<int32_t, 6>& neighbours, const float* own, const
         const int32_t n = neighbours[static_cast<size_t>(face)];
         const float* from = n < 0 ? nullptr : values_of(n);
         for (int a = 0; a < 8; ++a)
-            for (int b = 0; b < 8; ++b) halo[target(a, b)] = from ? from[source(a, b)] : (beyond ? *beyond : own[source(a, b) ^ (7 << (face / 2 == 0 ? 6 : face / 2 == 1 ? 3 : 0))]);
+            for (int b = 0; b < 8; ++b)
+                halo[target(a, b)] = from ? from[source(a, b)] : (beyond ? *beyond : own[source(a, b) ^ (7 << (face / 2 == 0 ? 6 : face / 2 == 1 ? 3 : 0))]);
     };
-    layer(0, [](int a, int b) { return 7 << 6 | a << 3 | b; }, [](int a, int b) { return halo_at(-1, a, b); });
-    layer(1, [](int a, int b) { return a << 3 | b; }, [](int a, int b) { return halo_at(8, a, b); });
-    layer(2, [](int a, int b) { return a << 6 | 7 << 3 | b; }, [](int a, int b) { return halo_at(a, -1, b); });
-    layer(3, [](int a, int b) { return a << 6 | b; }, [](int a, int b) { return halo_at(a, 8, b); });
-    layer(4, [](int a, int b) { return a << 6 | b << 3 | 7; }, [](int a, int b) { return halo_at(a, b, -1); });
-    layer(5, [](int a, int b) { return a << 6 | b << 3; }, [](int a, int b) { return halo_at(a, b, 8); });
+    layer(
+        0, [](int a, int b) { return 7 << 6 | a << 3 | b; }, [](int a, int b) { return halo_at(-1, a, b); });
+    layer(
+        1, [](int a, int b) { return a << 3 | b; }, [](int a, int b) { return halo_at(8, a, b); });
+    layer(
+        2, [](int a, int b) { return a << 6 | 7 << 3 | b; }, [](int a, int b) { return halo_at(a, -1, b); });
+    layer(
+        3, [](int a, int b) { return a << 6 | b; }, [](int a, int b) { return halo_at(a, 8, b); });
+    layer(
+        4, [](int a, int b) { return a << 6 | b << 3 | 7; }, [](int a, int b) { return halo_at(a, b, -1); });
+    layer(
+        5, [](int a, int b) { return a << 6 | b << 3; }, [](int a, int b) { return halo_at(a, b, 8); });
 }
 
 }  // namespace
@@ -120,7 +127,8 @@ openvdb::FloatGrid::Ptr redistance(openvdb::FloatGrid::Ptr hull, int half_width_
     for_leaves([&](size_t n, float* halo) {
         const float* raw = in_leaves(n);
         bool both = false;
-        fill_halo(neighbours[n], raw, [&](int32_t m) -> const float* { return in_leaves(static_cast<size_t>(m)); }, nullptr, halo);
+        fill_halo(
+            neighbours[n], raw, [&](int32_t m) -> const float* { return in_leaves(static_cast<size_t>(m)); }, nullptr, halo);
         loops.measure_leaf(halo, band_vox, in_array(n));
         for (size_t i = 0; i < 8; ++i) {
             uint64_t word = 0;
@@ -139,7 +147,8 @@ openvdb::FloatGrid::Ptr redistance(openvdb::FloatGrid::Ptr hull, int half_width_
             for (const int32_t m : neighbours[n]) again = again || (m >= 0 && changed[static_cast<size_t>(m)] != 0);
             changes[n] = 0;
             if (!again) return;
-            fill_halo(neighbours[n], from(n), [&](int32_t m) -> const float* { return from(static_cast<size_t>(m)); }, &band_vox, halo);
+            fill_halo(
+                neighbours[n], from(n), [&](int32_t m) -> const float* { return from(static_cast<size_t>(m)); }, &band_vox, halo);
             changes[n] = loops.redistance_leaf(halo, band_vox, to(n)) != 0 || first;
         });
         changed.swap(changes);

@@ -35,11 +35,21 @@ Image8 channel_of(ImageView<uint8_t> photo, MaskChannel channel) {
         const uint8_t r = p[0], g = photo.channels >= 3 ? p[1] : p[0], b = photo.channels >= 3 ? p[2] : p[0];
         const uint8_t high = std::max({r, g, b}), low = std::min({r, g, b});
         switch (channel) {
-            case MaskChannel::Brightness: out.data[i] = high; break;
-            case MaskChannel::Saturation: out.data[i] = high ? static_cast<uint8_t>(255 * (high - low) / high) : 0; break;
-            case MaskChannel::Red: out.data[i] = r; break;
-            case MaskChannel::Green: out.data[i] = g; break;
-            case MaskChannel::Blue: out.data[i] = b; break;
+            case MaskChannel::Brightness:
+                out.data[i] = high;
+                break;
+            case MaskChannel::Saturation:
+                out.data[i] = high ? static_cast<uint8_t>(255 * (high - low) / high) : 0;
+                break;
+            case MaskChannel::Red:
+                out.data[i] = r;
+                break;
+            case MaskChannel::Green:
+                out.data[i] = g;
+                break;
+            case MaskChannel::Blue:
+                out.data[i] = b;
+                break;
         }
     }
     return out;
@@ -165,7 +175,9 @@ Made make_one(const View& view, const fs::path& first_scene, const MaskOptions& 
             if (plate.channels < 3) throw InputError(plate_path.string() + ": is grey; a clean plate in colour is wanted");
             mask = plate_mask(photo("difference from the clean plate"), plate, options.plate, options.clean_up);
         } else if (method == MaskMethod::GrabCut) {
-            const Image8 seed = options.grabcut.from_threshold ? seed_of_mask(threshold_mask(image, options.threshold, options.clean_up).coverage, 0.02 * std::min(image.width, image.height)) : seed_of_box(image.width, image.height, options.grabcut.box_px);
+            const Image8 seed = options.grabcut.from_threshold ? seed_of_mask(threshold_mask(image, options.threshold, options.clean_up).coverage,
+                                                                              0.02 * std::min(image.width, image.height))
+                                                               : seed_of_box(image.width, image.height, options.grabcut.box_px);
             mask = grabcut_mask(photo("GrabCut"), seed, options.grabcut, options.clean_up);
         } else if (method == MaskMethod::Command) {
             mask.coverage = like_photo(view, mask_of_command(view, options, progress));
@@ -287,35 +299,41 @@ MaskOptions settle(const Views& views, const MaskOptions& given, const std::vect
             if (i >= edited.size() || edited[i].empty()) photos.push_back(views.views[i].image_path);
         find_chroma_key(photos, options.chroma);
         const auto& key = *options.chroma.key_rgb;
-        progress.note(text_of("chroma key %d,%d,%d, object below %.2f of it%s", key[0], key[1], key[2], options.chroma.level, given.chroma.key_rgb ? "" : "; found at the photographs' borders"));
+        progress.note(text_of("chroma key %d,%d,%d, object below %.2f of it%s", key[0], key[1], key[2], options.chroma.level,
+                              given.chroma.key_rgb ? "" : "; found at the photographs' borders"));
     }
     return options;
 }
 
-Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& given, const std::vector<fs::path>& edited, Progress& progress, std::vector<std::optional<KnownMask>> known) {
-    if (!given.masks.empty() && !fs::is_directory(in_scene(given.masks, scene)))
-        throw InputError(given.masks.string() + ": --masks is not a folder");
+Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& given, const std::vector<fs::path>& edited, Progress& progress,
+                 std::vector<std::optional<KnownMask>> known) {
+    if (!given.masks.empty() && !fs::is_directory(in_scene(given.masks, scene))) throw InputError(given.masks.string() + ": --masks is not a folder");
     if (!given.ignore_masks.empty() && !fs::is_directory(in_scene(given.ignore_masks, scene)))
         throw InputError(given.ignore_masks.string() + ": --ignore-masks is not a folder");
     const size_t n = views.views.size();
     const MaskOptions options = settle(views, given, edited, progress);
-    if (options.method == MaskMethod::CleanPlate && options.plate.plate.empty()) throw UsageError("--mask clean-plate: which? Remedy: --clean-plate FILE, or a folder with one of each view's name");
+    if (options.method == MaskMethod::CleanPlate && options.plate.plate.empty())
+        throw UsageError("--mask clean-plate: which? Remedy: --clean-plate FILE, or a folder with one of each view's name");
     if (options.method == MaskMethod::Command) words_of_command(options.command);  // said before anything is done
     std::vector<Made> made(n);
     progress.begin("mask", n);
     tbb::task_arena arena(options.method == MaskMethod::Command ? options.command_jobs : tbb::task_arena::automatic);
-    arena.execute([&] { tbb::parallel_for(size_t{0}, n, [&](size_t i) {
-        const View& view = views.views[i];
-        if (i < known.size() && known[i]) made[i] = {std::move(known[i]->mask), std::move(known[i]->origin), {}};
-        else made[i] = make_one(view, scene, options, i < edited.size() ? edited[i] : fs::path(), progress);
-        progress.step();
-    }); });
+    arena.execute([&] {
+        tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+            const View& view = views.views[i];
+            if (i < known.size() && known[i]) made[i] = {std::move(known[i]->mask), std::move(known[i]->origin), {}};
+            else made[i] = make_one(view, scene, options, i < edited.size() ? edited[i] : fs::path(), progress);
+            progress.step();
+        });
+    });
 
     std::map<std::string, std::string> taken;  // mask file -> view
     for (size_t i = 0; i < n; ++i) {
         if (made[i].origin.empty()) continue;
         const auto [other, fresh] = taken.emplace(made[i].origin, views.views[i].name);
-        if (!fresh) throw InputError(made[i].origin + ": is the mask of both " + other->second + " and " + views.views[i].name + ". Remedy: keep the images' folders below the mask folder too");
+        if (!fresh)
+            throw InputError(made[i].origin + ": is the mask of both " + other->second + " and " + views.views[i].name +
+                             ". Remedy: keep the images' folders below the mask folder too");
     }
 
     Masks out;
@@ -355,8 +373,8 @@ Masks make_masks(const Views& views, const fs::path& scene, const MaskOptions& g
     if (out.left_out.size() == n) throw InputError("no view has a mask");
     if (!full.empty()) progress.warn("mask is object everywhere, it carves nothing: " + some_of(full));
     if (2 * inverted.size() >= n)
-        throw InputError("the border of " + std::to_string(inverted.size()) + " of " + std::to_string(n) +
-                         " masks is mostly object: " + some_of(inverted) + ". They look inverted (white = object is expected). Remedy: --mask-invert");
+        throw InputError("the border of " + std::to_string(inverted.size()) + " of " + std::to_string(n) + " masks is mostly object: " + some_of(inverted) +
+                         ". They look inverted (white = object is expected). Remedy: --mask-invert");
     if (!inverted.empty()) progress.warn("the mask's border is mostly object (inverted?): " + some_of(inverted));
     if (!bordered.empty())
         progress.warn("the object leaves the frame in " + std::to_string(bordered.size()) + " views: " + some_of(bordered) +

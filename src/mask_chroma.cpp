@@ -83,7 +83,8 @@ void find_chroma_key(const std::vector<std::filesystem::path>& photos, ChromaOpt
     }
     if (key_of(options).norm() < kLeastChroma) {
         const auto& k = *options.key_rgb;
-        throw InputError("--mask chroma: the backdrop, " + std::to_string(k[0]) + "," + std::to_string(k[1]) + "," + std::to_string(k[2]) + ", is nearly grey. Remedy: --chroma-key R,G,B, if another colour was meant; --mask threshold, clean-plate or grabcut");
+        throw InputError("--mask chroma: the backdrop, " + std::to_string(k[0]) + "," + std::to_string(k[1]) + "," + std::to_string(k[2]) +
+                         ", is nearly grey. Remedy: --chroma-key R,G,B, if another colour was meant; --mask threshold, clean-plate or grabcut");
     }
     if (options.level > 0) return;
     std::vector<Histogram> histograms(photos.size());

@@ -52,8 +52,12 @@ std::vector<std::string> words_of_command(const std::string& command) {
     }
     if (quote) throw UsageError("--mask-command " + command + ": a quotation mark is not closed");
     if (in_word) out.push_back(word);
-    const auto names = [&](const char* what) { return std::any_of(out.begin(), out.end(), [&](const std::string& w) { return w.find(what) != std::string::npos; }); };
-    if (out.empty() || !names("{in}") || !names("{out}")) throw UsageError("--mask-command " + command + ": {in} and {out} are to stand where the tool wants the photograph and the mask, like 'rembg i {in} {out}'");
+    const auto names = [&](const char* what) {
+        return std::any_of(out.begin(), out.end(), [&](const std::string& w) { return w.find(what) != std::string::npos; });
+    };
+    if (out.empty() || !names("{in}") || !names("{out}"))
+        throw UsageError("--mask-command " + command +
+                         ": {in} and {out} are to stand where the tool wants the photograph and the mask, like 'rembg i {in} {out}'");
     return out;
 }
 

@@ -49,7 +49,8 @@ double step_between(const std::vector<Camera>& cameras, const Vec3d& middle) {
 
 }  // namespace
 
-std::vector<Consensus> consensus_of(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& trusted, const std::vector<MaskView>& asked, int max_misses, Progress& progress) {
+std::vector<Consensus> consensus_of(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& trusted,
+                                    const std::vector<MaskView>& asked, int max_misses, Progress& progress) {
     std::vector<Camera> seeing;
     std::vector<double> sizes;
     for (size_t i = 0; i < trusted.size(); ++i) {
@@ -61,7 +62,8 @@ std::vector<Consensus> consensus_of(const std::vector<std::string>& names, const
     const Mesh hull = extract_mesh(*coarse_hull(names, cameras, trusted, 96, 0.6, progress, max_misses), {}, progress);
     Box3d box;
     for (const auto& v : hull.vertices) box.extend(Vec3d(v[0], v[1], v[2]));
-    // Without one view the hull bulges between its neighbours, the more the farther they are apart: a round object of radius R by R (1 / cos(half their angle) - 1).
+    // Without one view the hull bulges between its neighbours, the more the farther they are apart: a round object of radius R by R (1 / cos(half their angle)
+    // - 1).
     const double gap_rad = std::min(0.5 * (max_misses + 1) * step_between(seeing, box.center()), 1.2);
     const double deep = 0.03 + 0.75 * (1 / std::cos(gap_rad) - 1), far = 0.03;
     std::vector<Consensus> out(asked.size());
@@ -75,7 +77,8 @@ std::vector<Consensus> consensus_of(const std::vector<std::string>& names, const
         const Image8 mask = io::downscale(asked[i].coverage, width, height);
         const Image8 ignore = asked[i].ignore.empty() ? Image8() : io::downscale(asked[i].ignore, width, height);
         const int reach = static_cast<int>(std::ceil(std::max(deep, far) * c.factor * size_px)) + 2;
-        const ImageF to_mask = signed_distance(mask, std::min(reach, kernel::kMaxReach_px)), to_hull = signed_distance(c.hull, std::min(reach, kernel::kMaxReach_px));
+        const ImageF to_mask = signed_distance(mask, std::min(reach, kernel::kMaxReach_px)),
+                     to_hull = signed_distance(c.hull, std::min(reach, kernel::kMaxReach_px));
         c.carved = c.extra = Image8(width, height);
         // An object that is small in the picture counts as one of 250 pixels.
         const double weight = std::pow(250 / (c.factor * size_px), 2);
@@ -89,7 +92,8 @@ std::vector<Consensus> consensus_of(const std::vector<std::string>& names, const
     return out;
 }
 
-std::vector<size_t> find_broken_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<MaskView> masks, Progress& progress) {
+std::vector<size_t> find_broken_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<MaskView> masks,
+                                      Progress& progress) {
     std::vector<size_t> broken;
     const auto asked = static_cast<size_t>(std::count_if(masks.begin(), masks.end(), [](const MaskView& m) { return !m.coverage.empty(); }));
     if (asked < 8) return broken;  // too few to outvote anybody
@@ -106,7 +110,8 @@ std::vector<size_t> find_broken_masks(const std::vector<std::string>& names, con
         }
         progress.check();
         const auto weight = [](const Consensus& c) { return std::max(c.carved_px, c.extra_px); };
-        const auto worst = static_cast<size_t>(std::max_element(said.begin(), said.end(), [&](const Consensus& a, const Consensus& b) { return weight(a) < weight(b); }) - said.begin());
+        const auto worst = static_cast<size_t>(
+            std::max_element(said.begin(), said.end(), [&](const Consensus& a, const Consensus& b) { return weight(a) < weight(b); }) - said.begin());
         if (!said[worst].broken()) break;
         masks[worst] = {};
         broken.push_back(worst);
@@ -115,7 +120,8 @@ std::vector<size_t> find_broken_masks(const std::vector<std::string>& names, con
     return broken;
 }
 
-std::vector<std::string> repair_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<Mask>& masks, const std::vector<size_t>& broken, const std::function<Image8(size_t)>& photo_of, Progress& progress) {
+std::vector<std::string> repair_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<Mask>& masks,
+                                      const std::vector<size_t>& broken, const std::function<Image8(size_t)>& photo_of, Progress& progress) {
     std::vector<MaskView> trusted(masks.size()), asked(masks.size());
     for (size_t i = 0; i < masks.size(); ++i) (std::count(broken.begin(), broken.end(), i) ? asked : trusted)[i] = view_of(masks[i]);
     const std::vector<Consensus> said = consensus_of(names, cameras, trusted, asked, 0, progress);

@@ -27,16 +27,20 @@ struct Consensus {
     static constexpr double kLeast_px = 25;
 };
 
-/// Of every view that is `asked`, against the hull of those that are `trusted`, of which max_misses may dissent; views without a mask have empty pictures. Throws what carving
-/// throws where nothing is left, or the hull has no bounds. Time: a carve at 96 voxels and a picture of each view.
-std::vector<Consensus> consensus_of(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& trusted, const std::vector<MaskView>& asked, int max_misses, Progress& progress);
+/// Of every view that is `asked`, against the hull of those that are `trusted`, of which max_misses may dissent; views without a mask have empty pictures.
+/// Throws what carving throws where nothing is left, or the hull has no bounds. Time: a carve at 96 voxels and a picture of each view.
+std::vector<Consensus> consensus_of(const std::vector<std::string>& names, const std::vector<Camera>& cameras, const std::vector<MaskView>& trusted,
+                                    const std::vector<MaskView>& asked, int max_misses, Progress& progress);
 
-/// Which views' masks are broken: the worst one is left out and the others are asked again, until none is or a quarter is gone, or the rest has no hull. Fewer than 8 views outvote nobody. In order of views.
-std::vector<size_t> find_broken_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<MaskView> masks, Progress& progress);
+/// Which views' masks are broken: the worst one is left out and the others are asked again, until none is or a quarter is gone, or the rest has no hull. Fewer
+/// than 8 views outvote nobody. In order of views.
+std::vector<size_t> find_broken_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<MaskView> masks,
+                                      Progress& progress);
 
-/// Mends broken masks. Outside the hull of all other views there is no object; within it, where the mask disagrees, the photograph decides (GrabCut, its colours learnt where both agree). Without one
-/// (an empty picture, or a silhouette) what disagrees is ignored from then on. Returns in words what was done, for each of `broken`. photo_of(i): RGB without lens distortion, the
-/// size of the mask, or empty.
-std::vector<std::string> repair_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<Mask>& masks, const std::vector<size_t>& broken, const std::function<Image8(size_t)>& photo_of, Progress& progress);
+/// Mends broken masks. Outside the hull of all other views there is no object; within it, where the mask disagrees, the photograph decides (GrabCut, its
+/// colours learnt where both agree). Without one (an empty picture, or a silhouette) what disagrees is ignored from then on. Returns in words what was done,
+/// for each of `broken`. photo_of(i): RGB without lens distortion, the size of the mask, or empty.
+std::vector<std::string> repair_masks(const std::vector<std::string>& names, const std::vector<Camera>& cameras, std::vector<Mask>& masks,
+                                      const std::vector<size_t>& broken, const std::function<Image8(size_t)>& photo_of, Progress& progress);
 
 }  // namespace vdbcarve

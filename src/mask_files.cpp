@@ -79,13 +79,13 @@ fs::path object_mask_file(const View& view, const fs::path& scene, const MaskOpt
         return existing(scene / p);
     }
     if (!view.mask_path.empty()) {
-        if (!fs::is_regular_file(view.mask_path)) throw InputError(view.mask_path.string() + ": the camera file names this mask for view " + view.name + ", and it is not there");
+        if (!fs::is_regular_file(view.mask_path))
+            throw InputError(view.mask_path.string() + ": the camera file names this mask for view " + view.name + ", and it is not there");
         return view.mask_path;
     }
     if (fs::is_directory(scene / "masks"))
         if (fs::path p = file_in_folder(scene / "masks", view); !p.empty()) return p;
-    for (const std::string& candidate :
-         {image.stem().string() + "_mask.png", image.stem().string() + ".mask.png", image.filename().string() + ".mask.png"})
+    for (const std::string& candidate : {image.stem().string() + "_mask.png", image.stem().string() + ".mask.png", image.filename().string() + ".mask.png"})
         if (fs::path p = existing(image.parent_path() / candidate); !p.empty()) return p;
     return {};
 }
@@ -100,9 +100,11 @@ fs::path plate_file(const View& view, const fs::path& scene, const MaskOptions& 
     if (fs::is_regular_file(plate)) return plate;
     if (!fs::is_directory(plate)) throw InputError(options.plate.plate.string() + ": --clean-plate is neither a photograph nor a folder of them");
     const fs::path image(view.image_path.empty() ? view.name : view.image_path.string());
-    for (const std::string& candidate : {image.filename().string(), image.stem().string() + ".png", image.stem().string() + ".jpg", image.stem().string() + ".JPG", image.stem().string() + ".tif"})
+    for (const std::string& candidate : {image.filename().string(), image.stem().string() + ".png", image.stem().string() + ".jpg",
+                                         image.stem().string() + ".JPG", image.stem().string() + ".tif"})
         if (fs::path p = existing(plate / candidate); !p.empty()) return p;
-    throw InputError(plate.string() + ": no clean plate is called like view " + view.name + ". Remedy: one of its name for each view, or --clean-plate FILE for all");
+    throw InputError(plate.string() + ": no clean plate is called like view " + view.name +
+                     ". Remedy: one of its name for each view, or --clean-plate FILE for all");
 }
 
 }  // namespace vdbcarve

@@ -14,7 +14,8 @@ Image8 seed_of_box(int width, int height, const std::optional<std::array<int, 4>
     const int margin = std::max(2, std::min(width, height) / 20);
     const std::array<int, 4> box = box_px.value_or(std::array<int, 4>{margin, margin, width - margin, height - margin});
     if (box[0] < 0 || box[1] < 0 || box[2] > width || box[3] > height)
-        throw InputError(text_of("--grabcut-box %d,%d,%d,%d reaches outside the photograph, which has %d x %d pixels", box[0], box[1], box[2], box[3], width, height));
+        throw InputError(
+            text_of("--grabcut-box %d,%d,%d,%d reaches outside the photograph, which has %d x %d pixels", box[0], box[1], box[2], box[3], width, height));
     Image8 out(width, height);
     for (int y = std::max(0, box[1]); y < std::min(height, box[3]); ++y)
         for (int x = std::max(0, box[0]); x < std::min(width, box[2]); ++x) out.at(x, y) = 128;
@@ -37,7 +38,8 @@ Image8 seed_of_mask(ImageView<uint8_t> coverage, double uncertain_px) {
 }
 
 Mask grabcut_mask(ImageView<uint8_t> photo, ImageView<uint8_t> seed, const GrabCutOptions& options, const MaskCleanUp& cleaning) {
-    if (photo.channels < 3 || seed.width != photo.width || seed.height != photo.height) throw InputError("grabcut_mask: a colour photograph and a seed of its size are needed");
+    if (photo.channels < 3 || seed.width != photo.width || seed.height != photo.height)
+        throw InputError("grabcut_mask: a colour photograph and a seed of its size are needed");
     // Its time grows faster than the pixels; the edge is found again in the photograph itself.
     const double factor = std::min(1.0, std::sqrt(4e5 / (static_cast<double>(photo.width) * photo.height)));
     cv::Mat colour, small_photo, small_seed;
@@ -52,7 +54,11 @@ Mask grabcut_mask(ImageView<uint8_t> photo, ImageView<uint8_t> seed, const GrabC
             labels.at<uint8_t>(y, x) = s == 0 ? cv::GC_BGD : s == 255 ? cv::GC_FGD : s >= 128 ? cv::GC_PR_FGD : cv::GC_PR_BGD;
             maybe += s >= 128, background += s < 128;
         }
-    if (maybe < 20 || background < 20) throw InputError(text_of("grabcut: the seed has %zu pixels of object and %zu of background: there is nothing to learn colours from. Remedy: a --grabcut-box that holds the object and leaves background around it", maybe, background));
+    if (maybe < 20 || background < 20)
+        throw InputError(
+            text_of("grabcut: the seed has %zu pixels of object and %zu of background: there is nothing to learn colours from. Remedy: a --grabcut-box that "
+                    "holds the object and leaves background around it",
+                    maybe, background));
     cv::setRNGSeed(1);  // its own clustering throws dice; the same ones every time and on every thread
     cv::Mat behind, front;
     cv::grabCut(small_photo, labels, {}, behind, front, options.iterations, cv::GC_INIT_WITH_MASK);

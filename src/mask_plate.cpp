@@ -30,7 +30,8 @@ Drift find_drift(ImageView<uint8_t> photo, ImageView<uint8_t> plate, int channel
     for (int v = 0; v < kBlocks; ++v)
         for (int u = 0; u < kBlocks; ++u) {
             std::vector<double> block;
-            const int x0 = u * photo.width / kBlocks, x1 = (u + 1) * photo.width / kBlocks, y0 = v * photo.height / kBlocks, y1 = (v + 1) * photo.height / kBlocks;
+            const int x0 = u * photo.width / kBlocks, x1 = (u + 1) * photo.width / kBlocks, y0 = v * photo.height / kBlocks,
+                      y1 = (v + 1) * photo.height / kBlocks;
             const int step = std::max(1, (x1 - x0) / 12);
             for (int y = y0; y < y1; y += step)
                 for (int x = x0; x < x1; x += step) {
@@ -83,8 +84,9 @@ cv::Mat grown_within(cv::Mat seed, const cv::Mat& within, int steps) {
     return seed;
 }
 
-/// What is a shadow becomes background: with its edge, as far as that may be one; but not where most of what lies around it is object, for then it is a part of the object that happens to look like one. An object of the
-/// table's colour touches its shadow; where they meet, brightness jumps, so pieces are judged as they are without their edges.
+/// What is a shadow becomes background: with its edge, as far as that may be one; but not where most of what lies around it is object, for then it is a part of
+/// the object that happens to look like one. An object of the table's colour touches its shadow; where they meet, brightness jumps, so pieces are judged as
+/// they are without their edges.
 void remove_shadows(cv::Mat& binary, const cv::Mat& shadow) {
     constexpr int kEdge_px = 6;
     cv::Mat found = shadow == kShadow;
@@ -118,7 +120,8 @@ void remove_shadows(cv::Mat& binary, const cv::Mat& shadow) {
 
 Mask plate_mask(ImageView<uint8_t> photo, ImageView<uint8_t> plate, const PlateOptions& options, const MaskCleanUp& cleaning) {
     if (photo.width != plate.width || photo.height != plate.height || photo.channels < 3 || plate.channels < 3)
-        throw InputError(text_of("plate_mask: a photograph of %d x %d pixels and a plate of %d x %d; colour and one size are needed", photo.width, photo.height, plate.width, plate.height));
+        throw InputError(text_of("plate_mask: a photograph of %d x %d pixels and a plate of %d x %d; colour and one size are needed", photo.width, photo.height,
+                                 plate.width, plate.height));
     std::array<Drift, 3> drift;
     for (int c = 0; c < 3; ++c) drift[static_cast<size_t>(c)] = find_drift(photo, plate, c);
     Image8 expected(photo.width, photo.height, 3);
@@ -145,7 +148,10 @@ Mask plate_mask(ImageView<uint8_t> photo, ImageView<uint8_t> plate, const PlateO
     cv::Mat seen, meant, ratio(photo.height, photo.width, CV_32F);
     cv::GaussianBlur(io::wrap(without_alpha(photo).view()), seen, {}, kSmooth_px);
     cv::GaussianBlur(io::wrap(expected.view()), meant, {}, kSmooth_px);
-    const auto at = [](const cv::Mat& m, int x, int y) { const auto& v = m.at<cv::Vec3b>(y, x); return Vec3d(v[0], v[1], v[2]); };
+    const auto at = [](const cv::Mat& m, int x, int y) {
+        const auto& v = m.at<cv::Vec3b>(y, x);
+        return Vec3d(v[0], v[1], v[2]);
+    };
     for (int y = 0; y < photo.height; ++y)
         for (int x = 0; x < photo.width; ++x) ratio.at<float>(y, x) = static_cast<float>(at(seen, x, y).sum() / std::max(3.0, at(meant, x, y).sum()));
     cv::Mat mean, squares;
@@ -162,14 +168,15 @@ Mask plate_mask(ImageView<uint8_t> photo, ImageView<uint8_t> plate, const PlateO
             binary.at<uint8_t>(y, x) = distance > options.level ? 255 : 0;
             perhaps.at<uint8_t>(y, x) = distance > 0.5 * options.level ? 255 : 0;
             if (distance < 0.5 * options.level || !options.shadows) continue;
-            // A shadow is the same colour, darker (Horprasert, Harwood and Davis, "A statistical approach for real-time robust background subtraction and shadow detection", 1999), by a
-            // share that changes slowly but at its edge, so that the plate's own texture shows through.
+            // A shadow is the same colour, darker (Horprasert, Harwood and Davis, "A statistical approach for real-time robust background subtraction and
+            // shadow detection", 1999), by a share that changes slowly but at its edge, so that the plate's own texture shows through.
             const double share = s.dot(m) / std::max(1.0, m.squaredNorm()), level = mean.at<float>(y, x);
             if (share < 0.3 || share > 0.98 || 1.5 * far(s - share * m) > options.level) continue;
             const double varies = std::sqrt(std::max(0.0, squares.at<float>(y, x) - level * level)), by_noise = sigma.sum() / std::max(3.0, m.sum());
             shadow.at<uint8_t>(y, x) = varies < 1.5 * by_noise + 0.02 ? kShadow : kPerhaps;
         }
-    binary = grown_within(binary, perhaps, std::max(8, photo.height / 40));  // where the object's colour comes near the plate's, less is enough beside what is certain
+    binary = grown_within(binary, perhaps,
+                          std::max(8, photo.height / 40));  // where the object's colour comes near the plate's, less is enough beside what is certain
     if (options.shadows) remove_shadows(binary, shadow);
     clean_up(binary, cleaning);
     return {soft_edge(photo, binary, expected), {}};

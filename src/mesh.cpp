@@ -110,7 +110,8 @@ Polygons mesh_in_slabs(const openvdb::FloatGrid& grid, int pieces, bool push_off
             return number[v];
         };
         for (const openvdb::Vec4I& q : part.quads) {
-            const double middle = (static_cast<double>(part.points[q[0]][axis]) + part.points[q[2]][axis]) + (static_cast<double>(part.points[q[1]][axis]) + part.points[q[3]][axis]);
+            const double middle = (static_cast<double>(part.points[q[0]][axis]) + part.points[q[2]][axis]) +
+                                  (static_cast<double>(part.points[q[1]][axis]) + part.points[q[3]][axis]);
             if (middle < 4 * lo || middle >= 4 * hi) continue;
             out.quads.emplace_back(vertex(q[0]), vertex(q[1]), vertex(q[2]), vertex(q[3]));
         }
@@ -151,7 +152,8 @@ Mesh to_mesh(Polygons polygons, bool flip, bool keep_quads) {
     mesh.triangles.resize(polygons.triangles.size() + 2 * polygons.quads.size());
     if (keep_quads) mesh.quads = polygons.quads.size();
     const auto wound = [flip](uint32_t a, uint32_t b, uint32_t c) { return flip ? std::array<uint32_t, 3>{a, c, b} : std::array<uint32_t, 3>{a, b, c}; };
-    for (size_t t = 0; t < polygons.triangles.size(); ++t) mesh.triangles[t] = wound(polygons.triangles[t][0], polygons.triangles[t][1], polygons.triangles[t][2]);
+    for (size_t t = 0; t < polygons.triangles.size(); ++t)
+        mesh.triangles[t] = wound(polygons.triangles[t][0], polygons.triangles[t][1], polygons.triangles[t][2]);
     auto* quad = mesh.triangles.data() + polygons.triangles.size();
     tbb::parallel_for(size_t{0}, polygons.quads.size(), [&](size_t n) {
         const openvdb::Vec4I& q = polygons.quads[n];
@@ -181,8 +183,7 @@ bool has_flat_faces(const Mesh& mesh) {
 }  // namespace
 
 Mesh extract_mesh(const openvdb::FloatGrid& surface, const MeshOptions& options, Progress& progress) {
-    if (!(options.adaptivity >= 0 && options.adaptivity <= 1))
-        throw UsageError("adaptivity is " + std::to_string(options.adaptivity) + ", must be 0..1");
+    if (!(options.adaptivity >= 0 && options.adaptivity <= 1)) throw UsageError("adaptivity is " + std::to_string(options.adaptivity) + ", must be 0..1");
     progress.begin("mesh", 1);
     if (options.quads && options.mesher != Mesher::Dual) throw UsageError("mesh: quads are made by --mesher dual only");
     if (options.normals && options.mesher != Mesher::MarchingCubes) throw UsageError("mesh: normals are made by --mesher marching-cubes only");

@@ -20,7 +20,9 @@ void store_mesh(const std::filesystem::path& file, const Mesh& mesh) {
     AtomicFile out(file);
     const Header header{kMagic, mesh.vertices.size(), mesh.triangles.size(), mesh.normals.size(), mesh.colors.size(), mesh.quads};
     out.stream().write(reinterpret_cast<const char*>(&header), sizeof header);
-    const auto put = [&](const auto& values) { out.stream().write(reinterpret_cast<const char*>(values.data()), static_cast<std::streamsize>(values.size() * sizeof values[0])); };
+    const auto put = [&](const auto& values) {
+        out.stream().write(reinterpret_cast<const char*>(values.data()), static_cast<std::streamsize>(values.size() * sizeof values[0]));
+    };
     put(mesh.vertices);
     put(mesh.triangles);
     put(mesh.normals);

@@ -30,8 +30,8 @@ inline HalfEdgeMesh to_half_edges(const Mesh& mesh) {
     for (size_t t = 0; t < mesh.triangles.size(); ++t) {
         const auto& c = mesh.triangles[t];
         if (!out.add_face(handle(c[0]), handle(c[1]), handle(c[2])).is_valid())
-            throw InputError("the mesh is no 2-manifold at face " + std::to_string(t) + " (vertices " + std::to_string(c[0]) + ", " + std::to_string(c[1]) + ", " + std::to_string(c[2]) +
-                             "): it cannot be smoothed or decimated");
+            throw InputError("the mesh is no 2-manifold at face " + std::to_string(t) + " (vertices " + std::to_string(c[0]) + ", " + std::to_string(c[1]) +
+                             ", " + std::to_string(c[2]) + "): it cannot be smoothed or decimated");
     }
     return out;
 }

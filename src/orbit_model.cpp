@@ -83,9 +83,9 @@ OrbitCamera OrbitModel::camera(size_t i) const {
     const double sp = std::sin(p), cp = std::cos(p), se = std::sin(e), ce = std::cos(e);
     out.centre = {d * ce * cp, d * ce * sp, d * se + ring(r, RingHeight).value + of(i, Height).value};
     Mat3d look;
-    look.row(0) = Vec3d(-sp, cp, 0);                    // to the right
-    look.row(1) = Vec3d(se * cp, se * sp, -ce);         // down
-    look.row(2) = Vec3d(-ce * cp, -ce * sp, -se);       // forwards, to the axis
+    look.row(0) = Vec3d(-sp, cp, 0);               // to the right
+    look.row(1) = Vec3d(se * cp, se * sp, -ce);    // down
+    look.row(2) = Vec3d(-ce * cp, -ce * sp, -se);  // forwards, to the axis
     out.camera_from_world = (roll * tilt * pan).toRotationMatrix() * look;
     const Rigid3 scene = scene_from_ring(r);
     out.camera_from_world = out.camera_from_world * scene.rotation.transpose();
@@ -139,9 +139,15 @@ std::vector<std::vector<CameraColumn>> OrbitModel::columns() const {
             CameraColumn c;
             c.parameter = static_cast<int>(column);
             // The antisymmetric part of a small rotation is its vector.
-            c.direction = {0.5 * (turn(2, 1) - turn(1, 2)) * scale, 0.5 * (turn(0, 2) - turn(2, 0)) * scale, 0.5 * (turn(1, 0) - turn(0, 1)) * scale,
-                           (more.centre.x() - less.centre.x()) * scale, (more.centre.y() - less.centre.y()) * scale, (more.centre.z() - less.centre.z()) * scale,
-                           std::log(more.fx / less.fx) * scale, (more.cx - less.cx) * scale, (more.cy - less.cy) * scale};
+            c.direction = {0.5 * (turn(2, 1) - turn(1, 2)) * scale,
+                           0.5 * (turn(0, 2) - turn(2, 0)) * scale,
+                           0.5 * (turn(1, 0) - turn(0, 1)) * scale,
+                           (more.centre.x() - less.centre.x()) * scale,
+                           (more.centre.y() - less.centre.y()) * scale,
+                           (more.centre.z() - less.centre.z()) * scale,
+                           std::log(more.fx / less.fx) * scale,
+                           (more.cx - less.cx) * scale,
+                           (more.cy - less.cy) * scale};
             out[i].push_back(c);
         }
         moved.all_[p].value = value;

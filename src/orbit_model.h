@@ -61,12 +61,12 @@ struct CameraColumn {
 /// What is known of a view before it is aligned.
 struct OrbitView {
     int width_px = 0, height_px = 0;
-    double focal_px = 0;          ///< start; along x
-    double aspect = 1;            ///< fy / fx
-    double cx = 0, cy = 0;        ///< start of the principal point
-    double azimuth_rad = 0;       ///< nominal, from the ring's first view
+    double focal_px = 0;                      ///< start; along x
+    double aspect = 1;                        ///< fy / fx
+    double cx = 0, cy = 0;                    ///< start of the principal point
+    double azimuth_rad = 0;                   ///< nominal, from the ring's first view
     std::optional<Rigid3> camera_from_world;  ///< a pose that is near already: steps sideways, back, up and turns are counted from it
-    double turn = 0;              ///< share of the ring passed, 0..1: where smooth changes of speed are counted
+    double turn = 0;                          ///< share of the ring passed, 0..1: where smooth changes of speed are counted
     int ring = 0;
 };
 
@@ -74,7 +74,18 @@ struct OrbitView {
 class OrbitModel {
   public:
     enum Global { LnFocal, CentreX, CentreY, LnArc, Harmonic, kHarmonics = 6, kGlobals = Harmonic + kHarmonics };
-    enum RingPart { RingAzimuth, Elevation, RingDistance, RingHeight, RingPan, RingTilt, RingRoll, SittingTurn, SittingShift = SittingTurn + 3, kRingParts = SittingShift + 3 };
+    enum RingPart {
+        RingAzimuth,
+        Elevation,
+        RingDistance,
+        RingHeight,
+        RingPan,
+        RingTilt,
+        RingRoll,
+        SittingTurn,
+        SittingShift = SittingTurn + 3,
+        kRingParts = SittingShift + 3
+    };
     enum ViewPart { Azimuth, Pan, Tilt, Roll, LnDistance, Height, ViewLnFocal, ViewCentreX, ViewCentreY, kViewParts };
 
     OrbitModel() = default;

@@ -43,8 +43,8 @@ class Pieces {
     bool inside_;
     std::vector<const openvdb::FloatTree::LeafNodeType*> leaves_;
     std::unordered_map<openvdb::Coord, size_t> leaf_number_;
-    std::vector<uint8_t> labels_;   ///< of a leaf's voxels
-    std::vector<uint32_t> first_;   ///< piece of each leaf
+    std::vector<uint8_t> labels_;  ///< of a leaf's voxels
+    std::vector<uint32_t> first_;  ///< piece of each leaf
     std::vector<Tile> tiles_;
     std::unordered_map<openvdb::Coord, uint32_t> tile_number_;
     std::vector<uint32_t> parent_;

@@ -50,7 +50,7 @@ namespace {
 
 constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
 constexpr const char* kWritten = ".written_by_vdbcarve.json";  ///< in masks/: what of it is ours
-constexpr const char* kUnverified = "unverified";  ///< folder of the result for cameras that align() does not stand behind
+constexpr const char* kUnverified = "unverified";              ///< folder of the result for cameras that align() does not stand behind
 
 json parse_or_empty(const fs::path& file) {
     try {
@@ -106,13 +106,12 @@ void add_camera(Sha256& hash, const Camera& c) {
     for (int i = 0; i < 3; ++i) hash.add_value(c.camera_from_world.translation[i]);
 }
 
-std::string grid_text(const std::array<int, 3>& d) {
-    return std::to_string(d[0]) + "x" + std::to_string(d[1]) + "x" + std::to_string(d[2]);
-}
+std::string grid_text(const std::array<int, 3>& d) { return std::to_string(d[0]) + "x" + std::to_string(d[1]) + "x" + std::to_string(d[2]); }
 
 class Job {
   public:
-    Job(const ReconstructOptions& options, Progress& progress) : o_(options), progress_(progress), store_(options.output / "stages"), warnings_at_start_(progress.warnings().size()) {}
+    Job(const ReconstructOptions& options, Progress& progress)
+        : o_(options), progress_(progress), store_(options.output / "stages"), warnings_at_start_(progress.warnings().size()) {}
 
     Reconstruction run() {
         try {
@@ -170,12 +169,16 @@ class Job {
         }
         stage("level_set", [&] { return make_surface(); });
         if (o_.use_stereo) stage("stereo", [&] { return carve_by_depth(); });
-        else if (o_.stereo != StereoOptions() || o_.stereo_maps) progress_.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on");
+        else if (o_.stereo != StereoOptions() || o_.stereo_maps)
+            progress_.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on");
         if (o_.color.mode != ColorMode::None) stage("color", [&] { return make_color(); });
         stage("filter", [&] { return filter_surface(); });
         stage("mesh", [&] { return make_mesh(); });
         stage("smooth", [&] { return smooth_mesh(); });
-        stage("export", [&] { export_all(); return false; });
+        stage("export", [&] {
+            export_all();
+            return false;
+        });
         return finish();
     }
 
@@ -232,7 +235,8 @@ class Job {
     /// Where cameras and masks contradict each other.
     std::string ask_check() const {
         const std::string scene = o_.views.scene.string() + (o_.views.cameras.empty() ? "" : " --cameras " + o_.views.cameras.string());
-        return "`vdbcarve check " + scene + "`, with the options for masks given here, says what fits" + (aligned_ ? "" : ", tries other readings of the poses and writes the one that fits (--write-cameras FILE)");
+        return "`vdbcarve check " + scene + "`, with the options for masks given here, says what fits" +
+               (aligned_ ? "" : ", tries other readings of the poses and writes the one that fits (--write-cameras FILE)");
     }
 
     /// Warnings since there were so many, to be kept in a stage's note; and said again when the stage is found done.
@@ -247,7 +251,8 @@ class Job {
 
     void check_options() {
         backend_ = choose_backend(o_.backend, o_.device);
-        if (o_.backend == Backend::Auto && backend_ == Backend::Cpu && o_.device != 0) progress_.warn("--device " + std::to_string(o_.device) + " means nothing here: " + why_no_cuda());
+        if (o_.backend == Backend::Auto && backend_ == Backend::Cpu && o_.device != 0)
+            progress_.warn("--device " + std::to_string(o_.device) + " means nothing here: " + why_no_cuda());
         std::string bad;
         const auto need = [&](bool ok, const std::string& what) {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
@@ -263,7 +268,9 @@ class Job {
         need(m.method == MaskMethod::CleanPlate || m.plate == PlateOptions(), "--clean-plate and --plate-… are of --mask clean-plate");
         need(m.method == MaskMethod::GrabCut || m.grabcut == GrabCutOptions(), "--grabcut-… is of --mask grabcut");
         const bool from_photographs = by_threshold || m.method == MaskMethod::Chroma || m.method == MaskMethod::CleanPlate || m.method == MaskMethod::GrabCut;
-        need(from_photographs || m.clean_up == MaskCleanUp(), "--mask-open, --mask-close, --mask-fill-holes and --mask-all-components are of masks made from photographs (--mask threshold, chroma, clean-plate, grabcut)");
+        need(from_photographs || m.clean_up == MaskCleanUp(),
+             "--mask-open, --mask-close, --mask-fill-holes and --mask-all-components are of masks made from photographs (--mask threshold, chroma, "
+             "clean-plate, grabcut)");
         need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
         need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
         need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
@@ -282,17 +289,20 @@ class Job {
             need(size.allFinite() && size.minCoeff() > 0, "--bounds has no volume: every maximum must exceed its minimum");
         }
         need(o_.color.depth_vox >= 1 && o_.color.depth_vox <= 1000, "--color-depth is " + std::to_string(o_.color.depth_vox) + " layers, must be 1..1000");
-        need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox, "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
+        need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox,
+             "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
         need(!o_.use_stereo || !o_.occupancy, "--stereo on carves a level set, and --occupancy makes none");
         need(!o_.color.skip_upright || o_.color.mode == ColorMode::Best, "--paper is of --color best");
-        need(o_.color_leave_out == 0 || o_.color_leave_out >= 2, "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
+        need(o_.color_leave_out == 0 || o_.color_leave_out >= 2,
+             "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
         need(!o_.quads || o_.mesher == Mesher::Dual, "--quads are made by --mesher dual only");
         need(o_.min_piece_share >= 0 && o_.min_piece_share <= 1, "--min-piece is " + std::to_string(o_.min_piece_share) + ", must be 0..1");
         need(o_.keep_thin_vox >= 0, "--keep-thin is " + std::to_string(o_.keep_thin_vox) + ", must be >= 0");
         need(std::isfinite(o_.max_error) && o_.max_error >= 0, "--max-error is " + std::to_string(o_.max_error) + ", must be > 0");
         need(std::isfinite(o_.cap_tolerance) && o_.cap_tolerance >= 0, "--cap-tolerance is " + std::to_string(o_.cap_tolerance) + ", must be >= 0");
         need(!o_.smooth_iterations || (*o_.smooth_iterations >= 0 && *o_.smooth_iterations <= 10000), "--smooth must be 0..10000 iterations");
-        need(o_.smooth.lambda > 0 && o_.smooth.lambda < 1 && o_.smooth.mu < -o_.smooth.lambda && o_.smooth.mu > -2, "--smooth-lambda must be within 0..1 and --smooth-mu less than its negative");
+        need(o_.smooth.lambda > 0 && o_.smooth.lambda < 1 && o_.smooth.mu < -o_.smooth.lambda && o_.smooth.mu > -2,
+             "--smooth-lambda must be within 0..1 and --smooth-mu less than its negative");
         for (const std::string& f : o_.mesh_formats)
             need(f == "ply" || f == "obj" || f == "stl" || f == "glb", "--mesh-formats: '" + f + "' is none of ply, obj, stl, glb");
         if (!bad.empty()) throw UsageError(bad);
@@ -331,13 +341,16 @@ class Job {
         for (const Vec3d& corner : {kept_->bounds.min(), kept_->bounds.max()})
             for (int a = 0; a < 3; ++a) bounds += (bounds.empty() ? "" : ",") + number(corner[a]);
         for (int a = 0; a < 3; ++a) origin += (a ? "," : "") + number(kept_->origin[a]);
-        return out + command + ".bounds=\"" + bounds + "\"\n" + command + ".voxel-size=" + number(kept_->voxel_size) + "\n" + command + ".origin=\"" + origin + "\"\n";
+        return out + command + ".bounds=\"" + bounds + "\"\n" + command + ".voxel-size=" + number(kept_->voxel_size) + "\n" + command + ".origin=\"" + origin +
+               "\"\n";
     }
 
     /// The scene is a film: its frames, in stages/, are the scene from here on.
     bool film_to_photographs() {
         const fs::path file = o_.views.scene;
-        if (o_.dry_run) throw UsageError("--dry-run: " + file.string() + " is a film, of which frames are to be taken first. Remedy: vdbcarve mask, then its folder in OUT/stages as the scene");
+        if (o_.dry_run)
+            throw UsageError("--dry-run: " + file.string() +
+                             " is a film, of which frames are to be taken first. Remedy: vdbcarve mask, then its folder in OUT/stages as the scene");
         if (!o_.views.images.empty()) throw UsageError("--images: " + file.string() + " is a film, its frames are the photographs. Remedy: without it");
         const bool fresh = !made_by_us(o_.output);
         open_output();
@@ -367,7 +380,8 @@ class Job {
             fs::rename(part, folder);
         }
         for (const std::string& w : film_.warnings) progress_.warn(w);
-        progress_.note(text_of("%zu of %zu frames of %s (%.1f s) are the photographs; they are in %s", film_.frames.size(), film_.looked_at, file.c_str(), film_.duration_s, folder.c_str()));
+        progress_.note(text_of("%zu of %zu frames of %s (%.1f s) are the photographs; they are in %s", film_.frames.size(), film_.looked_at, file.c_str(),
+                               film_.duration_s, folder.c_str()));
         report_["video"] = json::parse(video_json(film_));
         report_["video"]["file"] = file.string();
         o_.views.scene = folder;
@@ -379,7 +393,9 @@ class Job {
     /// taken for even.
     void angles_of_film() {
         AlignOptions& a = o_.align;
-        if (!finds_cameras() || a.orbit != Orbit::Turntable || a.method != AlignMethod::Coherence || !a.angles_deg.empty() || !a.arc_known || !a.rings.empty() || !a.sittings.empty() || film_.frames.size() != views_.views.size()) return;
+        if (!finds_cameras() || a.orbit != Orbit::Turntable || a.method != AlignMethod::Coherence || !a.angles_deg.empty() || !a.arc_known ||
+            !a.rings.empty() || !a.sittings.empty() || film_.frames.size() != views_.views.size())
+            return;
         const double first = film_.frames.front().time_s, steps = static_cast<double>(film_.frames.size());
         const double span = (film_.frames.back().time_s - first) * steps / (steps - 1);
         for (const VideoFrame& f : film_.frames) a.angles_deg.push_back(a.arc_deg * (f.time_s - first) / span);
@@ -393,34 +409,49 @@ class Job {
         wanted.allow_unposed = true;
         wanted.units.clear();
         views_ = load_views(wanted, progress_);
-        if (!views_.posed && o_.align.method == AlignMethod::Refine) throw UsageError("--method refine improves cameras, and " + o_.views.scene.string() + " has none. Remedy: --cameras FILE, or --method coherence");
+        if (!views_.posed && o_.align.method == AlignMethod::Refine)
+            throw UsageError("--method refine improves cameras, and " + o_.views.scene.string() + " has none. Remedy: --cameras FILE, or --method coherence");
         const bool from_given_cameras = !finds_cameras() || o_.align.method == AlignMethod::Refine;
         if (from_given_cameras && !o_.views.units.empty() && !views_.units.empty() && o_.views.units != views_.units)
-            progress_.warn("--units " + o_.views.units + ": " + views_.camera_file.string() + " says " + views_.units + "; its numbers are taken for " + o_.views.units + ", none is converted");
+            progress_.warn("--units " + o_.views.units + ": " + views_.camera_file.string() + " says " + views_.units + "; its numbers are taken for " +
+                           o_.views.units + ", none is converted");
         if (!o_.views.units.empty()) views_.units = o_.views.units;
         std::error_code not_there;
         if (!o_.dry_run && fs::equivalent(views_.camera_file.parent_path(), o_.output / kUnverified, not_there))
             throw UsageError("--cameras " + views_.camera_file.string() + ": this run would write it anew, or take it away. Remedy: another -o");
-        if (finds_cameras() && o_.dry_run) throw UsageError("--dry-run: cameras are to be found first, and what is to be carved is known then. Remedy: vdbcarve align, then --cameras OUT/cameras.json");
+        if (finds_cameras() && o_.dry_run)
+            throw UsageError(
+                "--dry-run: cameras are to be found first, and what is to be carved is known then. Remedy: vdbcarve align, then --cameras OUT/cameras.json");
         // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
-        if (o_.align_again && views_.sittings.size() > 1) throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
+        if (o_.align_again && views_.sittings.size() > 1)
+            throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
         const bool mat = o_.align.method == AlignMethod::Mat;  // which says both
         if (views_.posed && !o_.align_again) {
             if (const std::vector<std::string> given = given_options(o_.align); !given.empty())
-                throw UsageError(some_of(given) + ": the cameras of " + views_.camera_file.string() + " are used as they are, so this would be ignored. Remedy: --method refine to improve them, --cameras none to find others, or without it, also in config.toml");
+                throw UsageError(some_of(given) + ": the cameras of " + views_.camera_file.string() +
+                                 " are used as they are, so this would be ignored. Remedy: --method refine to improve them, --cameras none to find others, or "
+                                 "without it, also in config.toml");
         } else if (o_.last_stage != LastStage::Mask) {
             check_align_options(o_.align, views_, views_.views.size());
-            const bool by_silhouettes = o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper, scaled = o_.align.known_distance > 0 || o_.align.known_height > 0 || o_.align.known_length;
+            const bool by_silhouettes = o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper,
+                       scaled = o_.align.known_distance > 0 || o_.align.known_height > 0 || o_.align.known_length;
             if (by_silhouettes && !scaled && !o_.views.units.empty())
-                throw UsageError("--units " + o_.views.units + ": cameras found from silhouettes know no scale, so their unit is arbitrary. Remedy: --known-height, --known-distance or --known-length, or a marker mat (--method mat)");
+                throw UsageError("--units " + o_.views.units +
+                                 ": cameras found from silhouettes know no scale, so their unit is arbitrary. Remedy: --known-height, --known-distance or "
+                                 "--known-length, or a marker mat (--method mat)");
             if (o_.align.known_length) check_known_length(views_, {}, *o_.align.known_length);
         }
         if (finds_cameras() && o_.align.method != AlignMethod::Refine && !o_.views.up.empty() && o_.views.up != "z")
-            throw UsageError("--up " + o_.views.up + ": cameras that are found have z up, along the axis (or out of the mat). Remedy: without it; --dcc turns results into another program's axes");
-        if (!finds_cameras() && o_.last_stage != LastStage::Mask && !views_.unverified.empty()) doubt(views_.unverified, views_.camera_file.string() + ": its cameras were found, but are UNVERIFIED");
+            throw UsageError(
+                "--up " + o_.views.up +
+                ": cameras that are found have z up, along the axis (or out of the mat). Remedy: without it; --dcc turns results into another program's axes");
+        if (!finds_cameras() && o_.last_stage != LastStage::Mask && !views_.unverified.empty())
+            doubt(views_.unverified, views_.camera_file.string() + ": its cameras were found, but are UNVERIFIED");
         if (views_.posed && o_.align_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
-            progress_.note("of " + views_.camera_file.string() + " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
-        if (o_.floor_from != FloorFrom::File && o_.last_stage != LastStage::Mask && up().empty() && !finds_cameras()) throw UsageError("--floor: the scene does not say which way is up. Remedy: --up");
+            progress_.note("of " + views_.camera_file.string() +
+                           " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
+        if (o_.floor_from != FloorFrom::File && o_.last_stage != LastStage::Mask && up().empty() && !finds_cameras())
+            throw UsageError("--floor: the scene does not say which way is up. Remedy: --up");
         if (o_.floor_from == FloorFrom::Found && o_.dry_run) throw UsageError("--dry-run: the floor is to be found first. Remedy: --floor HEIGHT");
         if (views_.posed && !finds_cameras() && o_.last_stage != LastStage::Mask)
             if (const std::string doubted = doubt_of_up(views_.cameras(), up()); !doubted.empty()) progress_.warn(doubted);
@@ -585,7 +616,8 @@ class Job {
         tbb::parallel_for(size_t{0}, keys.size(), [&](size_t i) {
             const auto found = places.find(keys[i]);
             if (found == places.end()) return;
-            const fs::path stem = found->second.folder / std::to_string(found->second.number), coverage = fs::path(stem) += ".png", ignore = fs::path(stem) += "_ignore.png";
+            const fs::path stem = found->second.folder / std::to_string(found->second.number), coverage = fs::path(stem) += ".png",
+                           ignore = fs::path(stem) += "_ignore.png";
             if (!fs::exists(coverage)) return;  // one that was left out is made, and left out, again
             try {
                 out[i] = KnownMask{{io::read_image8(coverage), fs::exists(ignore) ? io::read_image8(ignore) : Image8()}, found->second.origin};
@@ -610,7 +642,8 @@ class Job {
         }
         if (used_.empty()) throw InputError(views_.camera_file.string() + ": no view is left to carve with");
         if (!unused.empty() && !aligned_)  // align() has said it
-            progress_.warn(counted(unused.size(), "view") + " not used, as " + views_.camera_file.string() + " says: " + some_of(unused) + ". Remedy: mend the masks and align again");
+            progress_.warn(counted(unused.size(), "view") + " not used, as " + views_.camera_file.string() + " says: " + some_of(unused) +
+                           ". Remedy: mend the masks and align again");
     }
 
     // --------------------------------------------------------------------------------------- repair
@@ -623,7 +656,9 @@ class Job {
         std::vector<std::string> names;
         for (const size_t i : broken_masks()) names.push_back(views_.views[i].name);
         if (!names.empty())
-            progress_.warn(counted(names.size(), "mask") + " against all others: " + some_of(names) + ". Where such a mask is wrong, the object loses what it leaves out. Remedy: look at " + (names.size() == 1 ? "it" : "them") + ", and mend or delete what is wrong, or --repair-masks");
+            progress_.warn(counted(names.size(), "mask") + " against all others: " + some_of(names) +
+                           ". Where such a mask is wrong, the object loses what it leaves out. Remedy: look at " + (names.size() == 1 ? "it" : "them") +
+                           ", and mend or delete what is wrong, or --repair-masks");
     }
 
     bool repair() {
@@ -651,7 +686,9 @@ class Job {
         const size_t before = progress_.warnings().size();
         std::vector<size_t> broken = broken_masks();
         for (const size_t i : broken)
-            if (!edited_[i].empty()) progress_.warn(edited_[i].string() + ": is against all others, but was edited by hand and is left as it is. Remedy: delete it to have it made anew");
+            if (!edited_[i].empty())
+                progress_.warn(edited_[i].string() +
+                               ": is against all others, but was edited by hand and is left as it is. Remedy: delete it to have it made anew");
         std::erase_if(broken, [&](size_t i) { return !edited_[i].empty(); });  // the user's word
         const fs::path part = o_.output / "stages" / ".repaired.part";
         fs::remove_all(part);
@@ -660,8 +697,10 @@ class Job {
             std::vector<Mask> masks(views_.views.size());
             for (const size_t u : used_) masks[u] = masks_.masks[u];
             Progress quiet;
-            const std::vector<std::string> done = repair_masks(views_.names(), views_.cameras(), masks, broken, [&](size_t i) { return photo_to_show(views_.views[i]); }, quiet);
-            progress_.warn(counted(broken.size(), "mask") + " against all others, mended: " + some_of(done) + ". Remedy: look at " + (o_.output / "masks").string());
+            const std::vector<std::string> done = repair_masks(
+                views_.names(), views_.cameras(), masks, broken, [&](size_t i) { return photo_to_show(views_.views[i]); }, quiet);
+            progress_.warn(counted(broken.size(), "mask") + " against all others, mended: " + some_of(done) + ". Remedy: look at " +
+                           (o_.output / "masks").string());
             for (const size_t i : broken) {
                 masks_.masks[i] = std::move(masks[i]);
                 masks_.origins[i] += " (repaired)";
@@ -690,7 +729,9 @@ class Job {
     /// What an earlier run that was refused left.
     void clear_unverified() {
         const fs::path folder = o_.output / kUnverified;
-        for (const char* file : {"cameras.json", "report.json", "config.toml", "orbit.svg", "preview.png", "preview_direction_cw.png", "preview_direction_ccw.png", "mat.png", "energy_map.png"}) fs::remove(folder / file);
+        for (const char* file : {"cameras.json", "report.json", "config.toml", "orbit.svg", "preview.png", "preview_direction_cw.png",
+                                 "preview_direction_ccw.png", "mat.png", "energy_map.png"})
+            fs::remove(folder / file);
         std::error_code others_are_in_it;
         fs::remove(folder, others_are_in_it);
     }
@@ -744,15 +785,22 @@ class Job {
             const std::vector<MaskView> masks = used_mask_views();
             const std::vector<Camera> cameras = views_.cameras();
             const auto hull = coarse_hull(views_.names(), cameras, masks, 192, o_.min_seen, progress_);
-            const std::optional<Floor> table = find_table(*hull, cameras, masks, [&](size_t i) { return photo_to_show(views_.views[i]); }, up_direction(), progress_);
+            const std::optional<Floor> table = find_table(
+                *hull, cameras, masks, [&](size_t i) { return photo_to_show(views_.views[i]); }, up_direction(), progress_);
             json found;
             if (table) {
                 found = {{"height", table->height}, {"from", "photographs"}, {"likeness", table->likeness}, {"next_best", table->next_best}};
             } else {
                 const SeenExtent seen = seen_extent(*hull, cameras, masks, up_direction());
-                if (!seen.bottom_seen) throw UndeterminedError("--floor auto: the photographs show no table (a pattern on it is needed), and every silhouette is cut by its frame below. Remedy: --floor HEIGHT");
+                if (!seen.bottom_seen)
+                    throw UndeterminedError(
+                        "--floor auto: the photographs show no table (a pattern on it is needed), and every silhouette is cut by its frame below. Remedy: "
+                        "--floor HEIGHT");
                 found = {{"height", seen.lowest}, {"from", "lowest contour"}};
-                progress_.warn(text_of("--floor auto: the photographs show no table (a pattern on it is needed); the floor is put where the lowest contour was seen, at %.5g. A reflection in the masks would lower it. Remedy: --floor HEIGHT, where that is wrong", seen.lowest));
+                progress_.warn(
+                    text_of("--floor auto: the photographs show no table (a pattern on it is needed); the floor is put where the lowest contour was seen, at "
+                            "%.5g. A reflection in the masks would lower it. Remedy: --floor HEIGHT, where that is wrong",
+                            seen.lowest));
             }
             write_file(file, json{{"floor", found}, {"warnings", warnings_since(before)}}.dump(1) + "\n");
             note = stage_note(file, {"floor", "warnings"});
@@ -775,11 +823,28 @@ class Job {
                 h.add(v.name).add(v.image_path.empty() ? "" : sha256_of_file(v.image_path)).add_value(v.orientation).add_value(v.lens.model);
                 for (double x : v.lens.coefficients) h.add_value(x);
             }
-            h.add_value(a.mat->kind).add_value(a.mat->columns).add_value(a.mat->rows).add_value(a.mat->marker_m).add_value(a.mat->step_m).add(a.mat->dictionary);
+            h.add_value(a.mat->kind)
+                .add_value(a.mat->columns)
+                .add_value(a.mat->rows)
+                .add_value(a.mat->marker_m)
+                .add_value(a.mat->step_m)
+                .add(a.mat->dictionary);
         }
-        h.add(views_.up).add(views_.units).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(a.features).add(a.paper_views[0]).add(a.paper_views[1]).add_value(a.known_length.has_value());
+        h.add(views_.up)
+            .add(views_.units)
+            .add_value(views_.floor.has_value())
+            .add_value(views_.floor.value_or(0))
+            .add_value(a.features)
+            .add(a.paper_views[0])
+            .add(a.paper_views[1])
+            .add_value(a.known_length.has_value());
         if (a.known_length)
-            h.add(a.known_length->view).add_value(a.known_length->from_px.x()).add_value(a.known_length->from_px.y()).add_value(a.known_length->to_px.x()).add_value(a.known_length->to_px.y()).add_value(a.known_length->length);
+            h.add(a.known_length->view)
+                .add_value(a.known_length->from_px.x())
+                .add_value(a.known_length->from_px.y())
+                .add_value(a.known_length->to_px.x())
+                .add_value(a.known_length->to_px.y())
+                .add_value(a.known_length->length);
         h.add_value(a.method).add_value(a.orbit).add_value(a.direction);
         for (double angle : a.angles_deg) h.add_value(angle);
         h.add_value(a.arc_deg).add_value(a.arc_known).add_value(a.rings.size());
@@ -788,12 +853,20 @@ class Job {
         for (int s : a.sittings) h.add_value(s);
         h.add_value(a.fov_deg).add_value(a.principal_point_px.has_value());
         if (a.principal_point_px) h.add_value(a.principal_point_px->x()).add_value(a.principal_point_px->y());
-        h.add_value(a.focal_varies).add_value(a.centre_varies).add_value(a.known_distance).add_value(a.known_height).add(a.units).add_value(a.points).add_value(a.restarts).add_value(a.seed);
+        h.add_value(a.focal_varies)
+            .add_value(a.centre_varies)
+            .add_value(a.known_distance)
+            .add_value(a.known_height)
+            .add(a.units)
+            .add_value(a.points)
+            .add_value(a.restarts)
+            .add_value(a.seed);
         h.add_value(refines_for_stereo());
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         align_key_ = h.hex();
-        const fs::path note_file = store_.path("align", align_key_, ".json"), cameras_file = store_.path("align", align_key_, ".cameras.json"), other_file = store_.path("align", align_key_, ".other.json"),
-                       svg_file = store_.path("align", align_key_, ".svg"), picture_file = store_.path("align", align_key_, ".png");
+        const fs::path note_file = store_.path("align", align_key_, ".json"), cameras_file = store_.path("align", align_key_, ".cameras.json"),
+                       other_file = store_.path("align", align_key_, ".other.json"), svg_file = store_.path("align", align_key_, ".svg"),
+                       picture_file = store_.path("align", align_key_, ".png");
         const auto note = stage_note(note_file, {"align", "warnings"});
         const bool reused = note && fs::exists(cameras_file) && fs::exists(svg_file);
         if (!reused) {
@@ -814,7 +887,11 @@ class Job {
                 const auto png = io::encode_png(found.picture);
                 write_file(picture_file, png.data(), png.size());
             }
-            write_file(note_file, json{{"align", json::parse(alignment_json(found))}, {"warnings", warnings_since(before)}, {"up", found.views.up}, {"units", found.views.units}}.dump(1) + "\n");
+            write_file(
+                note_file,
+                json{{"align", json::parse(alignment_json(found))}, {"warnings", warnings_since(before)}, {"up", found.views.up}, {"units", found.views.units}}
+                        .dump(1) +
+                    "\n");
         } else {
             warn_again(*note);
         }
@@ -849,8 +926,11 @@ class Job {
         return reused;
     }
 
-    /// What silhouettes alone leave open, a few tenths of a pixel, is what depths would be wrong by. (A mat's cameras are better than silhouettes can make them.)
-    bool refines_for_stereo() const { return o_.use_stereo && o_.align.features && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper); }
+    /// What silhouettes alone leave open, a few tenths of a pixel, is what depths would be wrong by. (A mat's cameras are better than silhouettes can make
+    /// them.)
+    bool refines_for_stereo() const {
+        return o_.use_stereo && o_.align.features && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper);
+    }
 
     /// Fits tracks of the photographs' features, too. Without texture nothing changes.
     void refine_by_texture(AlignResult& found, const std::vector<MaskView>& masks) {
@@ -904,12 +984,17 @@ class Job {
     void say_alignment() {
         const json& a = report_["align"];
         if (o_.align.method == AlignMethod::Mat) {
-            progress_.note(text_of("cameras found from the mat in %s: its corners %.2f px (rms) from where they should be; focal length %.1f +- %.1f px; lengths in %s", counted(views_.views.size(), "view").c_str(), a["residual_rms_px"].get<double>(), a["focal_px"].get<double>(),
-                                   a["focal_sd_px"].get<double>(), a["units"].get<std::string>().c_str()));
+            progress_.note(
+                text_of("cameras found from the mat in %s: its corners %.2f px (rms) from where they should be; focal length %.1f +- %.1f px; lengths in %s",
+                        counted(views_.views.size(), "view").c_str(), a["residual_rms_px"].get<double>(), a["focal_px"].get<double>(),
+                        a["focal_sd_px"].get<double>(), a["units"].get<std::string>().c_str()));
             return;
         }
-        progress_.note(text_of("cameras found: %s, object turning %s; contours %.2f px (rms) outside the others' hull, %.1f %% within half a pixel; focal length %.0f px; %s units", a["orbit"].get<std::string>().c_str(),
-                               a["direction"].get<std::string>().c_str(), a["residual_rms_px"].get<double>(), 100 * a["coherent_share"].get<double>(), a["focal_px"].get<double>(), a["units"].get<std::string>().c_str()));
+        progress_.note(
+            text_of("cameras found: %s, object turning %s; contours %.2f px (rms) outside the others' hull, %.1f %% within half a pixel; focal length %.0f px; "
+                    "%s units",
+                    a["orbit"].get<std::string>().c_str(), a["direction"].get<std::string>().c_str(), a["residual_rms_px"].get<double>(),
+                    100 * a["coherent_share"].get<double>(), a["focal_px"].get<double>(), a["units"].get<std::string>().c_str()));
     }
 
     /// Masks of the views that have one, by view.
@@ -964,7 +1049,9 @@ class Job {
             sheet(other, place_ / ("preview_direction_" + opposite + ".png"));
             if (!fs::exists(place_ / "preview.png") || !fs::exists(place_ / ("preview_direction_" + opposite + ".png"))) return;  // said above
             place_copy(place_ / "preview.png", place_ / ("preview_direction_" + turned + ".png"));
-            progress_.note("both ways are shown: preview_direction_cw.png is --direction cw, preview_direction_ccw.png is --direction ccw; the wrong one is a mirror image");
+            progress_.note(
+                "both ways are shown: preview_direction_cw.png is --direction cw, preview_direction_ccw.png is --direction ccw; the wrong one is a mirror "
+                "image");
         }
     }
 
@@ -978,7 +1065,9 @@ class Job {
         bool automatic, floor_clips;
     };
 
-    static std::string box_text(const Box3d& b) { return text_of("%.9g,%.9g,%.9g,%.9g,%.9g,%.9g", b.min().x(), b.min().y(), b.min().z(), b.max().x(), b.max().y(), b.max().z()); }
+    static std::string box_text(const Box3d& b) {
+        return text_of("%.9g,%.9g,%.9g,%.9g,%.9g,%.9g", b.min().x(), b.min().y(), b.min().z(), b.max().x(), b.max().y(), b.max().z());
+    }
 
     /// Nothing where nothing is added, where there is no result, and where its cameras were others: then its bounds mean nothing here.
     std::optional<KeptGrid> grid_to_keep() {
@@ -998,7 +1087,8 @@ class Job {
             kept.floor_clips = g.value("floor_clips", false);
             for (const io::ImportedView& v : io::read_transforms(o_.output / "cameras.json").views) before.emplace(v.view.name, v.view.camera);
         } catch (const std::exception& e) {  // of nlohmann::json or an InputError
-            progress_.warn("the bounds are found anew: " + (o_.output / "report.json").string() + " does not say which they were (" + e.what() + "). It is of mask, align, or an older vdbcarve");
+            progress_.warn("the bounds are found anew: " + (o_.output / "report.json").string() + " does not say which they were (" + e.what() +
+                           "). It is of mask, align, or an older vdbcarve");
             return std::nullopt;
         }
         std::vector<std::string> moved, gone;
@@ -1013,7 +1103,8 @@ class Job {
                 return Eigen::Matrix<double, 7, 1>{k.fx, k.fy, k.skew, k.cx, k.cy, static_cast<double>(k.width_px), static_cast<double>(k.height_px)};
             };
             const Vec3d &ta = a.camera_from_world.translation, &tb = b.camera_from_world.translation;
-            const bool near = (a.camera_from_world.rotation - b.camera_from_world.rotation).norm() < 1e-9 && (ta - tb).norm() <= 1e-9 * (1 + ta.norm()) && (numbers(a) - numbers(b)).norm() <= 1e-9 * numbers(a).norm();
+            const bool near = (a.camera_from_world.rotation - b.camera_from_world.rotation).norm() < 1e-9 && (ta - tb).norm() <= 1e-9 * (1 + ta.norm()) &&
+                              (numbers(a) - numbers(b)).norm() <= 1e-9 * numbers(a).norm();
             if (near) same.insert(found->first);
             else moved.push_back(v.name);
         }
@@ -1021,11 +1112,15 @@ class Job {
             if (!same.count(name)) gone.push_back(name);
         if (moved.empty() && !same.empty()) {
             if (const std::vector<std::string> scenes = scenes_left_away(report); !gone.empty() && !scenes.empty())
-                throw UsageError("--add: " + o_.output.string() + " was made of " + some_of(scenes) + ", too, whose views (" + some_of(gone) + ") it would lose. Remedy: --add " + scenes.front() + " besides, or another -o");
-            if (!gone.empty()) progress_.warn("the result in " + o_.output.string() + " was made of " + counted(gone.size(), "view") + " more, which " + (gone.size() == 1 ? "is" : "are") + " not here any more: " + some_of(gone));
+                throw UsageError("--add: " + o_.output.string() + " was made of " + some_of(scenes) + ", too, whose views (" + some_of(gone) +
+                                 ") it would lose. Remedy: --add " + scenes.front() + " besides, or another -o");
+            if (!gone.empty())
+                progress_.warn("the result in " + o_.output.string() + " was made of " + counted(gone.size(), "view") + " more, which " +
+                               (gone.size() == 1 ? "is" : "are") + " not here any more: " + some_of(gone));
             return kept;
         }
-        progress_.warn("the result in " + o_.output.string() + " is replaced, not extended, and its bounds are found anew: its cameras are others" + (moved.empty() ? "" : " (" + some_of(moved) + ")"));
+        progress_.warn("the result in " + o_.output.string() + " is replaced, not extended, and its bounds are found anew: its cameras are others" +
+                       (moved.empty() ? "" : " (" + some_of(moved) + ")"));
         return std::nullopt;
     }
 
@@ -1043,7 +1138,14 @@ class Job {
     void plan_key() {
         kept_ = grid_to_keep();
         Sha256 h;
-        h.add("carve").add_value(kCodeVersion).add(mask_key_).add(views_.units).add(views_.up).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.distance.silhouette_offset_px);
+        h.add("carve")
+            .add_value(kCodeVersion)
+            .add(mask_key_)
+            .add(views_.units)
+            .add(views_.up)
+            .add_value(views_.floor.has_value())
+            .add_value(views_.floor.value_or(0))
+            .add_value(o_.distance.silhouette_offset_px);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         for (const size_t i : used_) h.add_value(i);
         h.add_value(o_.resolution).add_value(o_.voxel_size).add_value(o_.max_misses).add_value(o_.min_seen);
@@ -1056,7 +1158,8 @@ class Job {
         if (o_.origin)
             for (int a = 0; a < 3; ++a) h.add_value((*o_.origin)[a]);
         if (kept_)
-            for (int a = 0; a < 3; ++a) h.add_value(kept_->bounds.min()[a]).add_value(kept_->bounds.max()[a]).add_value(kept_->origin[a]).add_value(kept_->voxel_size);
+            for (int a = 0; a < 3; ++a)
+                h.add_value(kept_->bounds.min()[a]).add_value(kept_->bounds.max()[a]).add_value(kept_->origin[a]).add_value(kept_->voxel_size);
         hull_key_ = h.hex();
     }
     fs::path hull_file() const { return store_.path("hull", hull_key_, ".vdb"); }
@@ -1115,9 +1218,18 @@ class Job {
     /// What a hull depends on, but for its views; and each of those.
     void find_known() {
         Sha256 h;
-        h.add("hull of any views").add_value(kCodeVersion).add_value(carve_.max_misses).add_value(carve_.min_seen).add_value(carve_.outside).add_value(carve_.half_width_vox).add_value(carve_.occupancy);
+        h.add("hull of any views")
+            .add_value(kCodeVersion)
+            .add_value(carve_.max_misses)
+            .add_value(carve_.min_seen)
+            .add_value(carve_.outside)
+            .add_value(carve_.half_width_vox)
+            .add_value(carve_.occupancy);
         for (int a = 0; a < 3; ++a) h.add_value(carve_.bounds_world.min()[a]).add_value(carve_.bounds_world.max()[a]).add_value(carve_.lattice.origin_world[a]);
-        h.add_value(carve_.lattice.voxel_size).add_value(field_options_.silhouette_offset_px).add_value(field_options_.scale).add_value(field_options_.reach_samples);
+        h.add_value(carve_.lattice.voxel_size)
+            .add_value(field_options_.silhouette_offset_px)
+            .add_value(field_options_.scale)
+            .add_value(field_options_.reach_samples);
         base_key_ = h.hex();
         view_keys_.resize(inputs_.size());
         tbb::parallel_for(size_t{0}, inputs_.size(), [&](size_t u) {
@@ -1211,10 +1323,12 @@ class Job {
     // Bytes a leaf of the surface, measured on the dragon at 512 to 2048 (BENCHMARKS.md): values, masks and nodes; the
     // level set's second set of values and its bookkeeping; the mesh with what OpenVDB needs to extract it (47 vertices a
     // leaf); two volumes, one mesh and compressed buffers while files are written.
-    static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kExportPerLeaf = 8300, kGlbPerLeaf = 7200, kColorPerLeaf = 17000, kColorGridPerLeaf = 6300, kFilterPerLeaf = 9000;
+    static constexpr double kTreePerLeaf = 2215, kHullPerLeaf = 2270, kLevelSetPerLeaf = 4450, kExportPerLeaf = 8300, kGlbPerLeaf = 7200, kColorPerLeaf = 17000,
+                            kColorGridPerLeaf = 6300, kFilterPerLeaf = 9000;
     // On the device: candidate leaves (1.35 for each that stays) with values, views and cells, and the grid; the level set's two sets
     // of values, its grid and neighbours; edges, vertices with normals and triangles.
-    static constexpr double kDeviceHullPerLeaf = 1.35 * (2048 + 64 + 240) + 2148, kDeviceSurfacePerLeaf = 2 * 2048 + 64 + 24 + 2148, kDeviceMeshPerLeaf = 256 + 50 * 24 + 100 * 12;
+    static constexpr double kDeviceHullPerLeaf = 1.35 * (2048 + 64 + 240) + 2148, kDeviceSurfacePerLeaf = 2 * 2048 + 64 + 24 + 2148,
+                            kDeviceMeshPerLeaf = 256 + 50 * 24 + 100 * 12;
     // Colours and layers of all voxels in leaves, candidates and the fill's cells of those of the contour.
     static constexpr double kDeviceColorPerLeaf = 14000, kDeviceFilterPerLeaf = 1.3 * (4 * 2048 + 2148 + 176);
     static constexpr double kMostSlabs = 64, kProgramBase = 120e6;
@@ -1247,8 +1361,10 @@ class Job {
         // The mesher can go in slabs.
         const double mesher = o_.mesher == Mesher::Dual && o_.adaptivity == 0 ? kMesherBytesPerLeaf / kMostSlabs : kMesherBytesPerLeaf;
         const double glb = std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), "glb") != o_.mesh_formats.end() ? kGlbPerLeaf : 0;
-        const double later_peak = std::max({resident + leaves * kLevelSetPerLeaf, colored ? resident + leaves * kColorPerLeaf : 0.0, resident + leaves * (kFilterPerLeaf + color_grid),
-                                            resident + kMeshBase + leaves * (kMeshBytesPerLeaf + mesher + color_grid), resident + kExportBase + leaves * (kExportPerLeaf + glb + 1.5 * color_grid)});
+        const double later_peak =
+            std::max({resident + leaves * kLevelSetPerLeaf, colored ? resident + leaves * kColorPerLeaf : 0.0,
+                      resident + leaves * (kFilterPerLeaf + color_grid), resident + kMeshBase + leaves * (kMeshBytesPerLeaf + mesher + color_grid),
+                      resident + kExportBase + leaves * (kExportPerLeaf + glb + 1.5 * color_grid)});
         const double peak = o_.last_stage == LastStage::Export ? std::max(carve_peak, later_peak) : carve_peak;
         json& g = report_["grid"];
         g["expected_leaves"] = std::llround(leaves);
@@ -1261,7 +1377,8 @@ class Job {
         if (o_.last_stage == LastStage::Export && later_peak > limit) {
             const double fits = longest * std::sqrt(std::max(0.0, (limit - resident - kExportBase) / (later_peak - resident)));
             throw UsageError("this resolution needs about " + gb(later_peak) + " of memory, the limit is " + gb(limit) + " (--memory-limit). Remedy: " +
-                             (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) + "`carve` alone goes further, in bricks");
+                             (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) +
+                             "`carve` alone goes further, in bricks");
         }
         field_bytes_ = fields;
         hull_bytes_ = o_.occupancy ? 0 : hull;
@@ -1279,7 +1396,11 @@ class Job {
         double samples = 0;
         for (const MaskView& m : used_masks_) samples += 0.5 * static_cast<double>(planned_field_bytes(m, field_options_));
         const double base = masks + 14 * samples;
-        const double per_leaf = kDeviceHullPerLeaf + (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf + (o_.color.mode != ColorMode::None ? kDeviceColorPerLeaf : 0) + (o_.filters && o_.filters->empty() ? 0 : kDeviceFilterPerLeaf) : 0) + (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
+        const double per_leaf = kDeviceHullPerLeaf +
+                                (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf + (o_.color.mode != ColorMode::None ? kDeviceColorPerLeaf : 0) +
+                                                                          (o_.filters && o_.filters->empty() ? 0 : kDeviceFilterPerLeaf)
+                                                                    : 0) +
+                                (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
         double room = 0;
         if (!on_device("carve", [&] { room = 0.95 * static_cast<double>(device_->free_bytes()) - base; })) return false;
         if (leaves * per_leaf <= room) return true;
@@ -1288,7 +1409,8 @@ class Job {
             device_bricks_ = static_cast<int>(std::ceil(leaves * per_leaf * 1.3 / room));
             return true;
         }
-        if (o_.backend == Backend::Cuda) throw BackendError("this resolution needs about " + needed + ". Remedy: --backend cpu, a lower --resolution, or `carve` alone, in bricks");
+        if (o_.backend == Backend::Cuda)
+            throw BackendError("this resolution needs about " + needed + ". Remedy: --backend cpu, a lower --resolution, or `carve` alone, in bricks");
         progress_.note("this resolution needs about " + needed + "; going on on the CPU, with the same result");
         backend_ = Backend::Cpu;
         device_.reset();
@@ -1306,10 +1428,14 @@ class Job {
         if (resident + kCarveBase + fields + hull_bytes_ <= limit) return;
         // Half of the room for fields, half for leaves.
         const double room = std::max(limit - resident - kCarveBase, 2e6);
-        if (fields > 0.5 * room) batch_ = static_cast<size_t>(std::clamp(std::floor(0.5 * room / (fields / static_cast<double>(inputs_.size()))), 1.0, static_cast<double>(inputs_.size())));
+        if (fields > 0.5 * room)
+            batch_ = static_cast<size_t>(
+                std::clamp(std::floor(0.5 * room / (fields / static_cast<double>(inputs_.size()))), 1.0, static_cast<double>(inputs_.size())));
         const double held = std::min(fields, 0.5 * room);
         if (hull_bytes_ > room - held) bricks_ = std::max(bricks_, static_cast<int>(std::ceil(hull_bytes_ * 1.3 / (room - held))));
-        if (batch_ < inputs_.size()) progress_.note("distance fields of " + std::to_string(batch_) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) + " GB");
+        if (batch_ < inputs_.size())
+            progress_.note("distance fields of " + std::to_string(batch_) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) +
+                           " GB");
     }
 
     /// What the fields in memory, or those made batch after batch, say about the grid or one brick of it.
@@ -1345,7 +1471,8 @@ class Job {
             added_views_ = inputs_.size() - known_->views.size();
             std::vector<std::string> names;
             for (size_t u = known_->views.size(); u < inputs_.size(); ++u) names.push_back(inputs_[u].name);
-            progress_.note(text_of("the hull of %s is extended by %s (%s) in %.0f ms", counted(known_->views.size(), "view").c_str(), counted(added_views_, "view").c_str(), some_of(names).c_str(), 1e3 * extend_seconds_));
+            progress_.note(text_of("the hull of %s is extended by %s (%s) in %.0f ms", counted(known_->views.size(), "view").c_str(),
+                                   counted(added_views_, "view").c_str(), some_of(names).c_str(), 1e3 * extend_seconds_));
             return result;
         }
         return carve_in_batches(inputs_, batch_, source, options, progress_);
@@ -1375,7 +1502,13 @@ class Job {
                 const CarveResult part = carve_part(brick);
                 const CarveStatistics& s = part.statistics;
                 if (s.leaves) write_vdb(file, {part.hull}, metadata());
-                note = json{{"leaves", s.leaves}, {"active_voxels", s.active_voxels}, {"bytes", s.bytes}, {"node_tests", s.node_tests}, {"voxel_lookups", s.voxel_lookups}, {"clipped_share", s.clipped_share}, {"inside_voxels", s.inside_voxels}};
+                note = json{{"leaves", s.leaves},
+                            {"active_voxels", s.active_voxels},
+                            {"bytes", s.bytes},
+                            {"node_tests", s.node_tests},
+                            {"voxel_lookups", s.voxel_lookups},
+                            {"clipped_share", s.clipped_share},
+                            {"inside_voxels", s.inside_voxels}};
                 write_file(note_file, note->dump(1) + "\n");
                 progress_.note(std::string(name) + " of " + std::to_string((length + thickness - 1) / thickness) + ": " + std::to_string(s.leaves) + " leaves");
             }
@@ -1389,7 +1522,9 @@ class Job {
             surface += note->at("leaves").get<double>();
             if (note->at("leaves") != 0) files.push_back(file.filename().string());
         }
-        if (sum.inside_voxels == 0) throw ContradictionError("the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all at once and names the views");
+        if (sum.inside_voxels == 0)
+            throw ContradictionError(
+                "the hull is empty: the silhouettes contradict each other. Remedy: a lower --resolution carves all at once and names the views");
         sum.clipped_share = surface > 0 ? capped / surface : 0;
         report_["grid"]["bricks"] = files;
         return sum;
@@ -1427,10 +1562,13 @@ class Job {
         carve_.occupancy = o_.occupancy;
         carve_.half_width_vox = o_.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
-        Box3d box = kept_ ? kept_->bounds : o_.bounds ? *o_.bounds : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
+        Box3d box = kept_       ? kept_->bounds
+                    : o_.bounds ? *o_.bounds
+                                : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
         floor_clips_ = kept_ ? kept_->floor_clips : views_.floor && !o_.bounds && clip_at_floor(box);
         if (kept_ && o_.bounds && !(kept_->bounds.min().isApprox(o_.bounds->min(), 1e-9) && kept_->bounds.max().isApprox(o_.bounds->max(), 1e-9)))
-            throw UsageError("--bounds " + box_text(*o_.bounds) + ": views are added to " + o_.output.string() + ", whose bounds are " + box_text(kept_->bounds) + ". Remedy: without --bounds, or another -o");
+            throw UsageError("--bounds " + box_text(*o_.bounds) + ": views are added to " + o_.output.string() + ", whose bounds are " +
+                             box_text(kept_->bounds) + ". Remedy: without --bounds, or another -o");
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
@@ -1461,19 +1599,28 @@ class Job {
             const double fine = size.maxCoeff() / footprint;
             const int n = static_cast<int>(std::clamp(std::round(fine), 64.0, 1024.0));
             voxel = size.maxCoeff() / n;
-            if (!kept_) progress_.note("resolution " + std::to_string(n) + ": a voxel for a pixel" + (fine > 1024 ? " would be " + std::to_string(std::lround(fine)) + "; --resolution sets another" : ""));
+            if (!kept_)
+                progress_.note("resolution " + std::to_string(n) + ": a voxel for a pixel" +
+                               (fine > 1024 ? " would be " + std::to_string(std::lround(fine)) + "; --resolution sets another" : ""));
         }
         if (kept_) {
             const bool given = o_.resolution > 0 || o_.voxel_size > 0 || o_.grid;
             if ((given && std::fabs(voxel / kept_->voxel_size - 1) > 1e-9) || (o_.origin && !o_.origin->isApprox(kept_->origin, 1e-9)))
-                throw UsageError(text_of("%s: gives voxels of %.9g, and views are added to %s, whose voxels of %.9g lie otherwise. Remedy: without it, or another -o", o_.resolution > 0 ? "--resolution" : o_.voxel_size > 0 ? "--voxel-size" : o_.grid ? "--grid" : "--origin", voxel, o_.output.c_str(), kept_->voxel_size));
+                throw UsageError(
+                    text_of("%s: gives voxels of %.9g, and views are added to %s, whose voxels of %.9g lie otherwise. Remedy: without it, or another -o",
+                            o_.resolution > 0   ? "--resolution"
+                            : o_.voxel_size > 0 ? "--voxel-size"
+                            : o_.grid           ? "--grid"
+                                                : "--origin",
+                            voxel, o_.output.c_str(), kept_->voxel_size));
             box = kept_->bounds;
             voxel = kept_->voxel_size;
             origin = kept_->origin;
         }
         if (footprint > 0 && voxel < 0.98 * footprint)
             progress_.warn("voxels of " + std::to_string(voxel) + " are finer than a pixel on the object (" + std::to_string(footprint) +
-                           "): more than the photographs can show. About " + std::to_string(std::lround(size.maxCoeff() / footprint)) + " voxels along the longest side would do");
+                           "): more than the photographs can show. About " + std::to_string(std::lround(size.maxCoeff() / footprint)) +
+                           " voxels along the longest side would do");
         carve_.lattice = {origin, voxel};
         carve_.bounds_world = box;
         const std::array<int, 3> dims{static_cast<int>(std::ceil(box.sizes()[0] / voxel - 1e-6)), static_cast<int>(std::ceil(box.sizes()[1] / voxel - 1e-6)),
@@ -1502,10 +1649,11 @@ class Job {
         g["px_per_voxel"] = plan.px_per_voxel;
         g["field_scale"] = plan.scale;
         if (plan.scale > 1)
-            progress_.note("the photographs have " + std::to_string(plan.px_per_voxel).substr(0, 4) + " pixels to a voxel: distance fields take a sample for " + std::to_string(plan.scale) + "x" +
-                           std::to_string(plan.scale) + " of them (--field-scale 1: every pixel)");
+            progress_.note("the photographs have " + std::to_string(plan.px_per_voxel).substr(0, 4) + " pixels to a voxel: distance fields take a sample for " +
+                           std::to_string(plan.scale) + "x" + std::to_string(plan.scale) + " of them (--field-scale 1: every pixel)");
         if (const FileFrame frame = file_frame(".vdb", frame_request()); frame.scale * carve_.lattice.voxel_size < kLeastVoxel)
-            throw UsageError("voxels of " + std::to_string(1e6 * frame.scale * carve_.lattice.voxel_size) + "e-6 " + frame.units + " are too small for OpenVDB. Remedy: another --dcc, or none, or --units in which the object is larger");
+            throw UsageError("voxels of " + std::to_string(1e6 * frame.scale * carve_.lattice.voxel_size) + "e-6 " + frame.units +
+                             " are too small for OpenVDB. Remedy: another --dcc, or none, or --units in which the object is larger");
         plan_memory();
     }
 
@@ -1564,11 +1712,11 @@ class Job {
         fields_.clear();
         inputs_.clear();
         if (bricks_ == 1) write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
-        json note{{"grid", g}, {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)}, {"base", base_key_}, {"views", view_keys_}, {"id", hull_id_}};
+        json note{{"grid", g},         {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)},
+                  {"base", base_key_}, {"views", view_keys_},      {"id", hull_id_}};
         write_file(hull_json(), note.dump(1) + "\n");
         return false;
     }
-
 
     std::string up() const { return o_.views.up.empty() ? views_.up : o_.views.up; }
     FrameRequest frame_request() const { return {up(), views_.units, o_.dcc, o_.stl_mm}; }
@@ -1579,19 +1727,24 @@ class Job {
         return out;
     }
     /// Up as a direction; the axis of the orbit where it is not known.
-    Vec3d up_direction() const {
-        return vdbcarve::up_direction(up(), used_cameras());
-    }
+    Vec3d up_direction() const { return vdbcarve::up_direction(up(), used_cameras()); }
 
-    VdbMetadata metadata() const {
-        return {views_.units, views_.up, used_.size(), report_["grid"]["voxel_size"].get<double>(), inputs_sha256_};
-    }
+    VdbMetadata metadata() const { return {views_.units, views_.up, used_.size(), report_["grid"]["voxel_size"].get<double>(), inputs_sha256_}; }
 
     // --------------------------------------------------------------------------------------- surface
 
     bool make_surface() {
         Sha256 h;
-        surface_key_ = h.add("level_set").add_value(kCodeVersion).add(hull_id_).add_value(o_.flat_base).add_value(views_.floor.has_value()).add_value(views_.floor.value_or(0)).add_value(o_.floor_clear).add_value(o_.floor_from != FloorFrom::File).add(o_.flat_base || views_.floor ? up() : "").hex();
+        surface_key_ = h.add("level_set")
+                           .add_value(kCodeVersion)
+                           .add(hull_id_)
+                           .add_value(o_.flat_base)
+                           .add_value(views_.floor.has_value())
+                           .add_value(views_.floor.value_or(0))
+                           .add_value(o_.floor_clear)
+                           .add_value(o_.floor_from != FloorFrom::File)
+                           .add(o_.flat_base || views_.floor ? up() : "")
+                           .hex();
         const fs::path file = store_.path("surface", surface_key_, ".vdb"), note_file = store_.path("surface", surface_key_, ".json");
         if (const auto note = stage_note(note_file, {"warnings"}); note && fs::exists(file)) {
             surface_ = read_float_grid(file, "surface");
@@ -1608,11 +1761,11 @@ class Job {
             const bool on_there = hull_ && device_;
             if (!hull_) hull_ = read_float_grid(hull_file(), "hull");
             const bool done = backend_ == Backend::Cuda && on_device("level_set", [&] {
-                if (!on_there) device_->set_hull(*hull_);
-                device_->level_set(options);
-                surface_ = device_->surface();
-                surface_on_device_ = true;
-            });
+                                  if (!on_there) device_->set_hull(*hull_);
+                                  device_->level_set(options);
+                                  surface_ = device_->surface();
+                                  surface_on_device_ = true;
+                              });
             if (!done) surface_ = level_set(std::move(hull_), options, progress_);
         }
         hull_.reset();
@@ -1620,7 +1773,8 @@ class Job {
             surface_ = cut_flat(std::move(surface_), up_direction(), *views_.floor, progress_);
             if (o_.floor_clear > 0 || (o_.floor_clear < 0 && o_.floor_from != FloorFrom::File)) {
                 const double clear = o_.floor_clear > 0 ? o_.floor_clear : kFloorClear * height_above_floor();
-                surface_ = clear_floor(std::move(surface_), up_direction(), *views_.floor, clear, 1.25 * slope_of_views(*surface_, used_cameras(), up_direction(), *views_.floor), progress_);
+                surface_ = clear_floor(std::move(surface_), up_direction(), *views_.floor, clear,
+                                       1.25 * slope_of_views(*surface_, used_cameras(), up_direction(), *views_.floor), progress_);
                 if (report_.contains("floor")) report_["floor"]["clear"] = clear;
             }
             surface_on_device_ = false;
@@ -1674,9 +1828,7 @@ class Job {
         return highest - *views_.floor;
     }
 
-    SeenExtent seen_silhouettes() const {
-        return seen_extent(*surface_, views_.cameras(), used_mask_views(), up_direction());
-    }
+    SeenExtent seen_silhouettes() const { return seen_extent(*surface_, views_.cameras(), used_mask_views(), up_direction()); }
 
     // --------------------------------------------------------------------------------------- filter
 
@@ -1691,7 +1843,8 @@ class Job {
         FilterOptions options;
         options.repair_volume = o_.repair_volume;
         options.keep_thin_vox = std::min(o_.keep_thin_vox, most_keep_thin_vox(o_.half_width_vox));
-        if (options.keep_thin_vox < o_.keep_thin_vox && o_.filters) progress_.note("--keep-thin is " + std::to_string(options.keep_thin_vox).substr(0, 4) + " voxels at most with this band");
+        if (options.keep_thin_vox < o_.keep_thin_vox && o_.filters)
+            progress_.note("--keep-thin is " + std::to_string(options.keep_thin_vox).substr(0, 4) + " voxels at most with this band");
         options.device = o_.device;
         json& said = report_["filter"];
         if (o_.filters) {
@@ -1708,7 +1861,12 @@ class Job {
     bool filter_surface() {
         const FilterOptions options = filter_options();
         Sha256 h;
-        h.add("filter").add_value(kCodeVersion).add(surface_key_).add(filters_text(options.steps)).add_value(options.repair_volume).add_value(options.keep_thin_vox);
+        h.add("filter")
+            .add_value(kCodeVersion)
+            .add(surface_key_)
+            .add(filters_text(options.steps))
+            .add_value(options.repair_volume)
+            .add_value(options.keep_thin_vox);
         if (options.steps.empty()) {
             filtered_key_ = surface_key_;
             return false;
@@ -1725,14 +1883,14 @@ class Job {
         const size_t warnings_before = progress_.warnings().size();
         FilterResult result;
         const bool done = backend_ == Backend::Cuda && on_device("filter", [&] {
-            if (!surface_on_device_) device_->set_surface(*surface_);
-            surface_on_device_ = false;  // until it is whole again
-            result = device_->filter(options, progress_);
-            result.components_before = count_pieces(*surface_);
-            surface_ = device_->surface();
-            surface_on_device_ = true;
-            result.components = count_pieces(*surface_);
-        });
+                              if (!surface_on_device_) device_->set_surface(*surface_);
+                              surface_on_device_ = false;  // until it is whole again
+                              result = device_->filter(options, progress_);
+                              result.components_before = count_pieces(*surface_);
+                              surface_ = device_->surface();
+                              surface_on_device_ = true;
+                              result.components = count_pieces(*surface_);
+                          });
         if (!done) {
             result = filter(std::move(surface_), options, progress_);
             surface_ = result.surface;
@@ -1741,8 +1899,13 @@ class Job {
         json ms, said;
         for (const auto& [name, value] : result.milliseconds) ms[name] = value;
         const double change = result.volume_filtered / result.volume_before - 1, left = result.volume / result.volume_before - 1;
-        said = {{"volume_before", result.volume_before}, {"volume_filtered", result.volume_filtered}, {"volume", result.volume}, {"repair_offset_vox", result.offset_vox}, {"repair_steps", result.repair_steps},
-                {"pieces_before", result.components_before}, {"pieces", result.components}};
+        said = {{"volume_before", result.volume_before},
+                {"volume_filtered", result.volume_filtered},
+                {"volume", result.volume},
+                {"repair_offset_vox", result.offset_vox},
+                {"repair_steps", result.repair_steps},
+                {"pieces_before", result.components_before},
+                {"pieces", result.components}};
         char text[200];
         std::snprintf(text, sizeof text, "filter %s: volume %+.3f %%", filters_text(options.steps).c_str(), 100 * change);
         std::string line = text;
@@ -1753,15 +1916,19 @@ class Job {
         progress_.note(line);
         said["repaired"] = options.repair_volume && std::fabs(left) <= kVolumeTolerance;
         if (options.repair_volume && std::fabs(left) > kVolumeTolerance) {
-            std::snprintf(text, sizeof text, "the filter's change of volume could be repaired to %+.3f %% only (%d steps, %+.3f voxel)", 100 * left, result.repair_steps, result.offset_vox);
+            std::snprintf(text, sizeof text, "the filter's change of volume could be repaired to %+.3f %% only (%d steps, %+.3f voxel)", 100 * left,
+                          result.repair_steps, result.offset_vox);
             progress_.warn(text);
         }
         if (std::fabs(change) > 0.01) {
-            std::snprintf(text, sizeof text, "the filter takes %.1f %% of the volume (%.4g of %.4g)", -100 * change, result.volume_before - result.volume_filtered, result.volume_before);
-            progress_.warn(std::string(text) + (options.repair_volume ? ", which the repair gives back to what is left" : "") + ". Remedy: a higher --resolution, --keep-thin, a weaker --filter");
+            std::snprintf(text, sizeof text, "the filter takes %.1f %% of the volume (%.4g of %.4g)", -100 * change,
+                          result.volume_before - result.volume_filtered, result.volume_before);
+            progress_.warn(std::string(text) + (options.repair_volume ? ", which the repair gives back to what is left" : "") +
+                           ". Remedy: a higher --resolution, --keep-thin, a weaker --filter");
         }
         if (result.components < result.components_before)
-            progress_.warn("the filter leaves " + std::to_string(result.components) + " pieces of " + std::to_string(result.components_before) + ": thin ones are gone, or grown together. Remedy: --keep-thin, or --filter none");
+            progress_.warn("the filter leaves " + std::to_string(result.components) + " pieces of " + std::to_string(result.components_before) +
+                           ": thin ones are gone, or grown together. Remedy: --keep-thin, or --filter none");
         write_vdb(file, {surface_}, metadata());
         write_file(note_file, json{{"filter", said}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
         report_["filter"].update(said);
@@ -1779,19 +1946,41 @@ class Job {
         options.device = o_.device;
         if (!options.scale) options.scale = backend_ == Backend::Cuda ? 1 : 2;
         const StereoTrust& t = options.trust;
-        h.add("stereo").add_value(kCodeVersion).add(surface_key_).add_value(options.pairs).add_value(options.least_angle_deg).add_value(options.most_angle_deg).add_value(options.scale).add_value(options.levels).add_value(options.passes).add_value(options.depth_share);
-        h.add_value(t.most_cost).add_value(t.least_contrast).add_value(t.least_margin).add_value(t.agreeing).add_value(t.agreement_px).add_value(t.normal_deg).add_value(t.rim_px);
-        h.add_value(options.truncation_vox).add_value(options.reach_share).add_value(options.coarser_weight).add_value(options.least_weight).add_value(options.least_piece).add_value(o_.color_leave_out);
+        h.add("stereo")
+            .add_value(kCodeVersion)
+            .add(surface_key_)
+            .add_value(options.pairs)
+            .add_value(options.least_angle_deg)
+            .add_value(options.most_angle_deg)
+            .add_value(options.scale)
+            .add_value(options.levels)
+            .add_value(options.passes)
+            .add_value(options.depth_share);
+        h.add_value(t.most_cost)
+            .add_value(t.least_contrast)
+            .add_value(t.least_margin)
+            .add_value(t.agreeing)
+            .add_value(t.agreement_px)
+            .add_value(t.normal_deg)
+            .add_value(t.rim_px);
+        h.add_value(options.truncation_vox)
+            .add_value(options.reach_share)
+            .add_value(options.coarser_weight)
+            .add_value(options.least_weight)
+            .add_value(options.least_piece)
+            .add_value(o_.color_leave_out);
         for (size_t i : used_) h.add(file_hashes_[i]);
         if (photos_are_masks()) {
             progress_.warn("--stereo on: the images are the silhouettes themselves, which have no texture; the hull stands");
             return false;
         }
         surface_key_ = h.hex();
-        const fs::path file = store_.path("stereo", surface_key_, ".vdb"), note_file = store_.path("stereo", surface_key_, ".json"), maps = store_.path("stereo", surface_key_, ".maps");
+        const fs::path file = store_.path("stereo", surface_key_, ".vdb"), note_file = store_.path("stereo", surface_key_, ".json"),
+                       maps = store_.path("stereo", surface_key_, ".maps");
         stereo_sheet_ = store_.path("stereo", surface_key_, ".png");
         if (o_.stereo_maps) stereo_maps_ = maps;
-        if (const auto note = stage_note(note_file, {"stereo", "warnings"}); note && fs::exists(file) && fs::exists(stereo_sheet_) && (!o_.stereo_maps || fs::exists(maps))) {
+        if (const auto note = stage_note(note_file, {"stereo", "warnings"});
+            note && fs::exists(file) && fs::exists(stereo_sheet_) && (!o_.stereo_maps || fs::exists(maps))) {
             surface_.reset();
             for (const openvdb::GridBase::Ptr& grid : read_vdb(file)) {
                 if (grid->getName() == "surface") surface_ = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
@@ -1808,10 +1997,10 @@ class Job {
         StereoResult result;
         const std::vector<ColorInput> inputs = color_inputs();
         const bool done = backend_ == Backend::Cuda && on_device("stereo", [&] {
-            if (!surface_on_device_) device_->set_surface(*surface_);
-            surface_on_device_ = true;
-            result = device_->stereo(*surface_, inputs, photo_source(), options, progress_);
-        });
+                              if (!surface_on_device_) device_->set_surface(*surface_);
+                              surface_on_device_ = true;
+                              result = device_->stereo(*surface_, inputs, photo_source(), options, progress_);
+                          });
         if (!done) result = stereo(*surface_, inputs, photo_source(), options, progress_);
         const openvdb::FloatGrid::Ptr hull = std::exchange(surface_, result.surface);
         surface_on_device_ = surface_on_device_ && done;
@@ -1824,14 +2013,31 @@ class Job {
             trusted += v.trusted_pixels;
             with_photo += inputs[u].use;
             without += inputs[u].use && v.pairs == 0;
-            of_views.push_back({{"name", inputs[u].name}, {"compared_with", v.pairs}, {"matched_share", share_of(v.matched_pixels, v.object_pixels)}, {"trusted_share", share_of(v.trusted_pixels, v.object_pixels)}});
+            of_views.push_back({{"name", inputs[u].name},
+                                {"compared_with", v.pairs},
+                                {"matched_share", share_of(v.matched_pixels, v.object_pixels)},
+                                {"trusted_share", share_of(v.trusted_pixels, v.object_pixels)}});
         }
         for (const auto& [name, value] : result.milliseconds) ms[name] = value;
-        report_["stereo"] = {{"scale", result.scale}, {"trusted_share", share_of(trusted, object)}, {"volume_before", result.volume_before}, {"volume", result.volume}, {"fragments_dropped", result.fragments}, {"voids_filled", result.voids}, {"milliseconds", ms}, {"views", of_views}};
-        progress_.note(text_of("stereo: %.0f %% of the object's pixels have a depth that other views bear out; volume %+.2f %%", 100 * share_of(trusted, object), 100 * (result.volume / result.volume_before - 1)));
+        report_["stereo"] = {{"scale", result.scale},
+                             {"trusted_share", share_of(trusted, object)},
+                             {"volume_before", result.volume_before},
+                             {"volume", result.volume},
+                             {"fragments_dropped", result.fragments},
+                             {"voids_filled", result.voids},
+                             {"milliseconds", ms},
+                             {"views", of_views}};
+        progress_.note(text_of("stereo: %.0f %% of the object's pixels have a depth that other views bear out; volume %+.2f %%",
+                               100 * share_of(trusted, object), 100 * (result.volume / result.volume_before - 1)));
         if (without)
-            progress_.warn(text_of("stereo: %zu of %zu views have no two others at %.0f to %.0f degrees from them, and give no depth. Remedy: photographs nearer to each other", without, with_photo, options.least_angle_deg, options.most_angle_deg));
-        if (without < with_photo && share_of(trusted, object) < 0.05) progress_.warn(text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs texture, and cameras right to a pixel (--method refine)", 100 * share_of(trusted, object)));
+            progress_.warn(text_of(
+                "stereo: %zu of %zu views have no two others at %.0f to %.0f degrees from them, and give no depth. Remedy: photographs nearer to each other",
+                without, with_photo, options.least_angle_deg, options.most_angle_deg));
+        if (without < with_photo && share_of(trusted, object) < 0.05)
+            progress_.warn(
+                text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs "
+                        "texture, and cameras right to a pixel (--method refine)",
+                        100 * share_of(trusted, object)));
         draw_stereo(*hull, result);
         if (o_.stereo_maps) keep_depth_maps(maps, result.maps);
         write_vdb(file, {surface_, stereo_confidence_}, metadata());
@@ -1843,13 +2049,19 @@ class Job {
     void check_stereo_memory(const StereoOptions& options) {
         const bool gpu = backend_ == Backend::Cuda;  // keeps planes itself
         const double pixels = largest_photo_bytes() / kPhotoBytesPerPixel, views = static_cast<double>(used_.size());
-        const auto bytes_at = [&](int scale) { return views * pixels * (kPhotoBytesPerPixel + (gpu ? kStereoPerPixelBesideGpu : kStereoPerPixel) * 4 / 3 / (scale * scale)); };
+        const auto bytes_at = [&](int scale) {
+            return views * pixels * (kPhotoBytesPerPixel + (gpu ? kStereoPerPixelBesideGpu : kStereoPerPixel) * 4 / 3 / (scale * scale));
+        };
         const double room = memory_limit() - static_cast<double>(resident_memory_bytes()), bytes = bytes_at(options.scale);
         if (bytes <= room) return;
         int smaller = 2 * options.scale;
         while (smaller < 16 && bytes_at(smaller) > room) smaller *= 2;
-        const std::string remedy = smaller <= 16 && bytes_at(smaller) <= room ? text_of("--stereo-scale %d, fewer photographs", smaller) : "fewer photographs (--views)";
-        throw InputError(text_of("--stereo on: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB of --memory-limit are left. Remedy: %s, or a larger --memory-limit", used_.size(), bytes / 1e9, options.scale, std::max(room, 0.0) / 1e9, remedy.c_str()));
+        const std::string remedy =
+            smaller <= 16 && bytes_at(smaller) <= room ? text_of("--stereo-scale %d, fewer photographs", smaller) : "fewer photographs (--views)";
+        throw InputError(
+            text_of("--stereo on: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB of --memory-limit are left. Remedy: %s, or "
+                    "a larger --memory-limit",
+                    used_.size(), bytes / 1e9, options.scale, std::max(room, 0.0) / 1e9, remedy.c_str()));
     }
 
     /// Four views, spread evenly.
@@ -1902,13 +2114,16 @@ class Job {
         }
     }
     static double share_of(size_t part, size_t whole) { return whole ? static_cast<double>(part) / static_cast<double>(whole) : 0; }
-    static constexpr double kStereoPerPixel = 40, kStereoPerPixelBesideGpu = 14;  ///< bytes of a working pixel: grey, object, plane, cost, confidence, depths; of the coarser ones a third more
+    static constexpr double kStereoPerPixel = 40,
+                            kStereoPerPixelBesideGpu =
+                                14;  ///< bytes of a working pixel: grey, object, plane, cost, confidence, depths; of the coarser ones a third more
 
     // --------------------------------------------------------------------------------------- colour
 
     /// Photographs that are silhouettes themselves, or copies of them, have no colour to give.
     bool photos_are_masks() const {
-        const bool own = std::all_of(used_.begin(), used_.end(), [&](size_t i) { return masks_.origins[i].rfind(views_.views[i].image_path.string() + " (", 0) == 0; });
+        const bool own =
+            std::all_of(used_.begin(), used_.end(), [&](size_t i) { return masks_.origins[i].rfind(views_.views[i].image_path.string() + " (", 0) == 0; });
         if (own) return true;
         const View& first = views_.views[used_.front()];
         if (first.image_path.empty() || first.lens.distorts()) return false;
@@ -1976,7 +2191,9 @@ class Job {
         const double room = limit - static_cast<double>(resident_memory_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kColorPerLeaf;
         const double wanted = o_.color.batch ? static_cast<double>(o_.color.batch) : static_cast<double>(used_.size());
         options.batch = static_cast<size_t>(std::clamp(room / largest, 1.0, wanted));
-        if (static_cast<double>(options.batch) < wanted) progress_.note("photographs of " + std::to_string(options.batch) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) + " GB");
+        if (static_cast<double>(options.batch) < wanted)
+            progress_.note("photographs of " + std::to_string(options.batch) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) +
+                           " GB");
         return options;
     }
 
@@ -2015,13 +2232,14 @@ class Job {
         ColorResult result;
         try {
             const bool done = backend_ == Backend::Cuda && on_device("color", [&] {
-                if (!surface_on_device_) device_->set_surface(*surface_);
-                surface_on_device_ = true;
-                ColorOptions there = options;
-                const double room = 0.9 * static_cast<double>(device_->free_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kDeviceColorPerLeaf;
-                there.batch = static_cast<size_t>(std::clamp(room / (2 * largest_photo_bytes()), 1.0, static_cast<double>(options.batch)));
-                result = device_->color(*surface_, inputs, photo_source(), there, progress_);
-            });
+                                  if (!surface_on_device_) device_->set_surface(*surface_);
+                                  surface_on_device_ = true;
+                                  ColorOptions there = options;
+                                  const double room = 0.9 * static_cast<double>(device_->free_bytes()) -
+                                                      static_cast<double>(surface_->tree().leafCount()) * kDeviceColorPerLeaf;
+                                  there.batch = static_cast<size_t>(std::clamp(room / (2 * largest_photo_bytes()), 1.0, static_cast<double>(options.batch)));
+                                  result = device_->color(*surface_, inputs, photo_source(), there, progress_);
+                              });
             if (!done) result = color_in_batches(*surface_, inputs, photo_source(), options, progress_);
         } catch (const ContradictionError& e) {
             // The shape stands without its colours.
@@ -2036,16 +2254,23 @@ class Job {
         const auto of_surface = [&](size_t n) { return static_cast<double>(n) / static_cast<double>(s.surface_voxels); };
         json ms;
         for (const auto& [name, value] : result.milliseconds) ms[name] = value;
-        report_["color"] = {{"surface_voxels", s.surface_voxels}, {"seen_share", of_surface(s.colored)}, {"synthesised_share", of_surface(s.synthesised)}, {"milliseconds", ms}};
+        report_["color"] = {{"surface_voxels", s.surface_voxels},
+                            {"seen_share", of_surface(s.colored)},
+                            {"synthesised_share", of_surface(s.synthesised)},
+                            {"milliseconds", ms}};
         if (options.exposure) {
             report_["color"]["exposure_disagreement_before"] = result.exposure.disagreement_before;
             report_["color"]["exposure_disagreement"] = result.exposure.disagreement;
         }
         color_views_ = json::object();
         for (size_t u = 0; u < inputs.size(); ++u)
-            color_views_[inputs[u].name] = {{"color_used", inputs[u].use && !missing_photos_.count(inputs[u].name)}, {"exposure_gain", result.exposure.gains[u]}, {"first_choice_share", of_surface(s.voxels_of_view[u])}};
+            color_views_[inputs[u].name] = {{"color_used", inputs[u].use && !missing_photos_.count(inputs[u].name)},
+                                            {"exposure_gain", result.exposure.gains[u]},
+                                            {"first_choice_share", of_surface(s.voxels_of_view[u])}};
         if (of_surface(s.synthesised) > 0.25)
-            progress_.warn(std::to_string(std::lround(100 * of_surface(s.synthesised))) + " % of the surface is seen by no photograph (6 degrees or more above it, 3 px inside its mask): its colour is made up from around it");
+            progress_.warn(
+                std::to_string(std::lround(100 * of_surface(s.synthesised))) +
+                " % of the surface is seen by no photograph (6 degrees or more above it, 3 px inside its mask): its colour is made up from around it");
         write_vdb(file, {color_, views_grid_, confidence_grid_}, metadata());
         write_file(note_file, json{{"color", report_["color"]}, {"views", color_views_}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
         return false;
@@ -2065,8 +2290,8 @@ class Job {
         if (missed) progress_.warn(std::to_string(missed) + " vertices of the mesh have no coloured voxel around and are black");
     }
 
-    /// How many slabs the mesher goes through the grid in, so that it stays within the limit. Not by what is resident now, which differs from run to run: vertices come in another
-    /// order.
+    /// How many slabs the mesher goes through the grid in, so that it stays within the limit. Not by what is resident now, which differs from run to run:
+    /// vertices come in another order.
     int mesh_pieces() {
         const double leaves = static_cast<double>(surface_->tree().leafCount());
         const double held = kProgramBase + leaves * (kTreePerLeaf + (color_ ? kColorGridPerLeaf : 0));
@@ -2083,7 +2308,15 @@ class Job {
     bool make_mesh() {
         Sha256 h;
         const int pieces = mesh_pieces();
-        h.add("mesh").add_value(kCodeVersion).add_value(pieces).add(filtered_key_).add_value(o_.adaptivity).add_value(o_.mesher).add_value(o_.normals).add_value(o_.min_piece_share).add(color_key_);
+        h.add("mesh")
+            .add_value(kCodeVersion)
+            .add_value(pieces)
+            .add(filtered_key_)
+            .add_value(o_.adaptivity)
+            .add_value(o_.mesher)
+            .add_value(o_.normals)
+            .add_value(o_.min_piece_share)
+            .add(color_key_);
         const fs::path file = store_.path("mesh", mesh_key_ = h.add_value(o_.color_from_photos && color_).hex(), ".bin");
         const fs::path note_file = store_.path("mesh", mesh_key_, ".json");
         const auto note = stage_note(note_file, {"vertices_seen_share", "mesh_step", "warnings"});
@@ -2106,24 +2339,30 @@ class Job {
         report_["mesh_step"]["slabs"] = options.pieces;
         bool meshed = false;
         const bool done = backend_ == Backend::Cuda && o_.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
-            if (!surface_on_device_) device_->set_surface(*surface_);
-            meshed = device_->extract_mesh(o_.normals);
-            if (meshed) mesh_ = device_->fetch_mesh(o_.normals);
-        });
+                              if (!surface_on_device_) device_->set_surface(*surface_);
+                              meshed = device_->extract_mesh(o_.normals);
+                              if (meshed) mesh_ = device_->fetch_mesh(o_.normals);
+                          });
         if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
         const DroppedPieces dropped = drop_small_pieces(mesh_, o_.min_piece_share);
         report_["mesh_step"]["dropped_pieces"] = dropped.pieces;
         report_["mesh_step"]["dropped_volume_share"] = dropped.volume_share;
         if (dropped.pieces) {
             char text[200];
-            std::snprintf(text, sizeof text, "%s of the mesh left out, %s of the volume; %s kept (--min-piece 0 keeps all)", counted(dropped.pieces, "small piece").c_str(),
-                          dropped.volume_share < 1e-5 ? "less than 0.001 %" : text_of("%.3g %%", 100 * dropped.volume_share).c_str(), counted(dropped.kept, "piece").c_str());
+            std::snprintf(text, sizeof text, "%s of the mesh left out, %s of the volume; %s kept (--min-piece 0 keeps all)",
+                          counted(dropped.pieces, "small piece").c_str(),
+                          dropped.volume_share < 1e-5 ? "less than 0.001 %" : text_of("%.3g %%", 100 * dropped.volume_share).c_str(),
+                          counted(dropped.kept, "piece").c_str());
             progress_.note(text);
         }
         color_mesh();
         const bool direct = o_.color_from_photos && color_;
         store_mesh(file, mesh_);
-        write_file(note_file, json{{"vertices_seen_share", direct ? report_["color"]["vertices_seen_share"] : json()}, {"mesh_step", report_["mesh_step"]}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
+        write_file(note_file, json{{"vertices_seen_share", direct ? report_["color"]["vertices_seen_share"] : json()},
+                                   {"mesh_step", report_["mesh_step"]},
+                                   {"warnings", warnings_since(warnings_before)}}
+                                      .dump(1) +
+                                  "\n");
         if (!o_.quads) mesh_.quads = 0;
         return false;
     }
@@ -2133,15 +2372,22 @@ class Job {
     /// Taubin's smoothing, then fewer faces.
     bool smooth_mesh() {
         SmoothOptions options = o_.smooth;
-        // A binary model has steps of a voxel. The default filter takes them away (normals of a ball of 35 voxels 2.0 degrees off; ten iterations of this alone: 5.2), and
-        // after it there is nothing left to gain here.
+        // A binary model has steps of a voxel. The default filter takes them away (normals of a ball of 35 voxels 2.0 degrees off; ten iterations of this
+        // alone: 5.2), and after it there is nothing left to gain here.
         options.iterations = o_.smooth_iterations.value_or(o_.occupancy && report_["filter"]["chain"] == "none" ? 10 : 0);
         report_["smooth"] = {{"iterations", options.iterations}};
         const bool fewer = o_.faces > 0 || o_.max_error > 0;
         bool reused = false;
         if (options.iterations > 0 || fewer) {
             Sha256 h;
-            h.add("smooth").add_value(kCodeVersion).add(mesh_key_).add_value(options.iterations).add_value(options.lambda).add_value(options.mu).add_value(o_.faces).add_value(o_.max_error);
+            h.add("smooth")
+                .add_value(kCodeVersion)
+                .add(mesh_key_)
+                .add_value(options.iterations)
+                .add_value(options.lambda)
+                .add_value(options.mu)
+                .add_value(o_.faces)
+                .add_value(o_.max_error);
             const fs::path file = store_.path("smooth", h.add_value(o_.quads).hex(), ".bin");
             const double volume_before = measure(mesh_).volume;
             if (auto stored = stored_mesh(file)) {
@@ -2153,7 +2399,8 @@ class Job {
                 store_mesh(file, mesh_);
             }
             if (o_.faces > 0 && mesh_.triangles.size() > o_.faces)
-                progress_.warn("the mesh keeps " + std::to_string(mesh_.triangles.size()) + " faces, not " + std::to_string(o_.faces) + ": fewer would turn faces too far" + (o_.max_error > 0 ? ", or stray by more than --max-error" : ""));
+                progress_.warn("the mesh keeps " + std::to_string(mesh_.triangles.size()) + " faces, not " + std::to_string(o_.faces) +
+                               ": fewer would turn faces too far" + (o_.max_error > 0 ? ", or stray by more than --max-error" : ""));
             report_["smooth"]["volume_before"] = volume_before;
         }
         measures_ = measure(mesh_);
@@ -2201,8 +2448,11 @@ class Job {
         if (e.capped_share + e.unseen_share < 0.01) return;
         char text[300];
         const double unit = metres ? 1e3 * *metres : 1;
-        std::snprintf(text, sizeof text, "%.1f %% of the surface is extrapolated: %.1f %% lies beyond the contours that were seen (top %.3g, bottom %.3g %s), %.1f %% faces no camera", 100 * (e.capped_share + e.unseen_share),
-                      100 * e.capped_share, unit * e.top_beyond, unit * e.bottom_beyond, metres ? "mm" : "units", 100 * e.unseen_share);
+        std::snprintf(
+            text, sizeof text,
+            "%.1f %% of the surface is extrapolated: %.1f %% lies beyond the contours that were seen (top %.3g, bottom %.3g %s), %.1f %% faces no camera",
+            100 * (e.capped_share + e.unseen_share), 100 * e.capped_share, unit * e.top_beyond, unit * e.bottom_beyond, metres ? "mm" : "units",
+            100 * e.unseen_share);
         progress_.note(text);
     }
 
@@ -2235,10 +2485,13 @@ class Job {
     void warn_of_unknown_frame() {
         std::set<std::string> said;
         for (const std::string& format : o_.mesh_formats)
-            if (const std::string unknown = unknown_frame("." + format, frame_request()); !unknown.empty() && said.insert(unknown).second) progress_.warn("mesh." + format + ": " + unknown);
+            if (const std::string unknown = unknown_frame("." + format, frame_request()); !unknown.empty() && said.insert(unknown).second)
+                progress_.warn("mesh." + format + ": " + unknown);
         if (o_.dcc != Dcc::None && said.empty())
             if (const std::string unknown = unknown_frame(".vdb", frame_request()); !unknown.empty()) progress_.warn("volume.vdb: " + unknown);
-        if (views_.units.empty() && said.empty()) progress_.note(std::string("the unit of length is unknown: files carry the scene's own units") + (aligned_ ? ". Remedy: --known-height, --known-distance or --known-length with --units" : ""));
+        if (views_.units.empty() && said.empty())
+            progress_.note(std::string("the unit of length is unknown: files carry the scene's own units") +
+                           (aligned_ ? ". Remedy: --known-height, --known-distance or --known-length with --units" : ""));
     }
 
     /// Bounds that were fixed by few views may be wide, and voxels are then coarser than was meant.
@@ -2248,7 +2501,10 @@ class Job {
         for (const auto& v : mesh_.vertices) object.extend(Vec3d(v[0], v[1], v[2]));
         const double share = object.sizes().maxCoeff() / kept_->bounds.sizes().maxCoeff();
         if (share < 0.75)
-            progress_.warn(text_of("the object takes %.0f %% of the bounds that were fixed when there were fewer views, so voxels are %.1f times as large as they might be. Remedy: reconstruct with another -o, which finds the bounds of all views; or --bounds and --voxel-size from the start", 100 * share, 1 / share));
+            progress_.warn(
+                text_of("the object takes %.0f %% of the bounds that were fixed when there were fewer views, so voxels are %.1f times as large as they might "
+                        "be. Remedy: reconstruct with another -o, which finds the bounds of all views; or --bounds and --voxel-size from the start",
+                        100 * share, 1 / share));
     }
 
     void export_all() {
@@ -2268,7 +2524,8 @@ class Job {
         progress_.step();
         // A mesh of an earlier run in a format not asked for now would no longer fit the rest.
         for (const char* format : {"ply", "obj", "stl", "glb", "mtl"})
-            if (std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), format) == o_.mesh_formats.end()) fs::remove(o_.output / (std::string("mesh.") + format));
+            if (std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), format) == o_.mesh_formats.end())
+                fs::remove(o_.output / (std::string("mesh.") + format));
         for (const std::string& format : o_.mesh_formats) {
             const fs::path name = "mesh." + format;
             const FileFrame frame = frame_of(name);
@@ -2310,11 +2567,15 @@ class Job {
                                         {"mask", masks_.origins[i]}});
             if (!used) continue;
             ious.push_back(a[i].iou);
-            if (a[i].iou < kFits_iou && weak_count++ < 5) weak += (weak.empty() ? "" : ", ") + views_.views[i].name + " (" + std::to_string(a[i].iou).substr(0, 5) + ")";
+            if (a[i].iou < kFits_iou && weak_count++ < 5)
+                weak += (weak.empty() ? "" : ", ") + views_.views[i].name + " (" + std::to_string(a[i].iou).substr(0, 5) + ")";
         }
         if (weak_count)
             progress_.warn(std::to_string(weak_count) + " views agree with the result by less than 0.9 (silhouette IoU): " + weak +
-                           (weak_count > 5 ? " …" : "") + (report_.contains("floor") ? ": shadows and reflections that masks took for the object count as missed below --floor; else look at their masks and cameras" : ": look at their masks and cameras"));
+                           (weak_count > 5 ? " …" : "") +
+                           (report_.contains("floor")
+                                ? ": shadows and reflections that masks took for the object count as missed below --floor; else look at their masks and cameras"
+                                : ": look at their masks and cameras"));
         if (o_.floor_from == FloorFrom::Given) warn_of_high_floor(a);
         for (json& view : report_["views"])
             if (const auto found = color_views_.find(view["name"].get<std::string>()); found != color_views_.end()) view.update(*found);
@@ -2325,15 +2586,22 @@ class Job {
         agreement_ = std::move(a);
         report_["silhouette_iou"] = {{"median", median_iou_}, {"minimum", minimum_iou_}};
         if (median_iou_ < kFits_iou && !shape_was_changed())
-            contradiction_ = text_of("most views contradict the result: %zu of %zu agree with it by less than %.1f (silhouette IoU, median %.3f). It was written, but cameras and masks do not fit together; ", weak_count, ious.size(), kFits_iou, median_iou_) + ask_check();
+            contradiction_ = text_of(
+                                 "most views contradict the result: %zu of %zu agree with it by less than %.1f (silhouette IoU, median %.3f). It was written, "
+                                 "but cameras and masks do not fit together; ",
+                                 weak_count, ious.size(), kFits_iou, median_iou_) +
+                             ask_check();
     }
 
     /// What was asked for takes parts of the hull away, which silhouettes show: no contradiction of theirs.
     bool shape_was_changed() {
         if (!report_["grid"].value("bounds_automatic", true) || report_.contains("floor")) return true;
-        const auto lost = [](const json& from, const char* before, double after) { return from.contains(before) && std::fabs(after / from[before].get<double>() - 1) > 0.02; };
+        const auto lost = [](const json& from, const char* before, double after) {
+            return from.contains(before) && std::fabs(after / from[before].get<double>() - 1) > 0.02;
+        };
         const json filter = report_.value("filter", json::object());
-        return lost(filter, "volume_before", filter.value("volume_filtered", 0.0)) || lost(report_.value("smooth", json::object()), "volume_before", measures_.volume);
+        return lost(filter, "volume_before", filter.value("volume_filtered", 0.0)) ||
+               lost(report_.value("smooth", json::object()), "volume_before", measures_.volume);
     }
 
     /// A height that was typed wrongly takes a leg off.
@@ -2347,7 +2615,10 @@ class Job {
         }
         const double share = median(left_out);
         if (share > 0.05)
-            progress_.warn(text_of("--floor %g leaves out %.0f %% of what the masks show (median of the views): a reflection or shadow, or a part of the object? Remedy: look at the cut in preview.png; --floor auto finds a table that has a pattern", o_.floor, 100 * share));
+            progress_.warn(
+                text_of("--floor %g leaves out %.0f %% of what the masks show (median of the views): a reflection or shadow, or a part of the object? Remedy: "
+                        "look at the cut in preview.png; --floor auto finds a table that has a pattern",
+                        o_.floor, 100 * share));
     }
 
     static constexpr double kFits_iou = 0.9;  ///< median, where cameras and masks belong together
@@ -2428,7 +2699,8 @@ class Job {
             for (const char* gone : {"failure.json", "failure.toml"}) fs::remove(store_.folder() / gone);
             if (place_ == o_.output && o_.last_stage != LastStage::Mask) clear_unverified();
             if (o_.last_stage == LastStage::Export && place_ == o_.output) write_page();
-            if (!o_.views.added.empty() && o_.last_stage == LastStage::Export) store_.forget_others({"masks", "repaired", "hull", "surface", "stereo", "color", "filtered", "mesh", "smooth"});
+            if (!o_.views.added.empty() && o_.last_stage == LastStage::Export)
+                store_.forget_others({"masks", "repaired", "hull", "surface", "stereo", "color", "filtered", "mesh", "smooth"});
         }
         return out;
     }
@@ -2460,10 +2732,10 @@ class Job {
     Masks masks_;
     std::vector<std::string> mask_names_;
     std::vector<fs::path> edited_;  ///< masks that the user changed, by view
-    std::vector<size_t> used_;  ///< indices of views that are carved with
+    std::vector<size_t> used_;      ///< indices of views that are carved with
     std::string align_key_;
-    bool aligned_ = false;      ///< cameras were found in this run
-    fs::path place_{o_.output}; ///< where files of the result appear
+    bool aligned_ = false;       ///< cameras were found in this run
+    fs::path place_{o_.output};  ///< where files of the result appear
     fs::path align_picture_;
     bool floor_clips_ = false;  ///< the bounds end at the floor
     fs::path orbit_svg_;        ///< of the cameras that were found
@@ -2486,16 +2758,16 @@ class Job {
     openvdb::Vec3SGrid::Ptr color_;
     fs::path stereo_sheet_, stereo_maps_;  ///< of this run, in the store
     openvdb::GridBase::Ptr views_grid_, confidence_grid_, stereo_confidence_;
-    json color_views_ = json::object();        ///< what colouring says of each view
+    json color_views_ = json::object();  ///< what colouring says of each view
     std::set<std::string> missing_photos_;
     std::mutex missing_mutex_;
-    std::vector<std::string> file_hashes_;     ///< of everything a view is made from
+    std::vector<std::string> file_hashes_;  ///< of everything a view is made from
     openvdb::MaskGrid::Ptr occupancy_;
     Mesh mesh_;
     MeshMeasures measures_;
     std::string backend_used_ = "cpu", inputs_sha256_;
-    Backend backend_ = Backend::Cpu;          ///< where work is done now
-    Backend stage_backend_ = Backend::Cpu;    ///< where the stage's work was done
+    Backend backend_ = Backend::Cpu;                                    ///< where work is done now
+    Backend stage_backend_ = Backend::Cpu;                              ///< where the stage's work was done
     double field_bytes_ = 0, hull_bytes_ = 0, memory_limit_bytes_ = 0;  ///< planned; 0: not planned
     int device_bricks_ = 1;
     std::optional<DevicePipeline> device_;

@@ -62,7 +62,6 @@ void for_each_covered(const Mesh& mesh, const Camera& camera, const std::vector<
     }
 }
 
-
 }  // namespace
 
 Camera scaled(const Camera& camera, double factor) {
@@ -80,8 +79,7 @@ Camera scaled(const Camera& camera, double factor) {
 
 Raster rasterize(const Mesh& mesh, const Camera& camera) {
     const Intrinsics& k = camera.intrinsics;
-    Raster out{ImageF(k.width_px, k.height_px, 1, std::numeric_limits<float>::infinity()),
-               Image<uint32_t>(k.width_px, k.height_px, 1, UINT32_MAX)};
+    Raster out{ImageF(k.width_px, k.height_px, 1, std::numeric_limits<float>::infinity()), Image<uint32_t>(k.width_px, k.height_px, 1, UINT32_MAX)};
     const auto vertices = project_all(mesh, camera);
     for_each_covered(mesh, camera, vertices, [&](int x, int y, size_t t, double w0, double w1, double w2) {
         const double za = vertices[mesh.triangles[t][0]].z, zb = vertices[mesh.triangles[t][1]].z, zc = vertices[mesh.triangles[t][2]].z;
@@ -140,17 +138,15 @@ Image8 coverage_of(const Mesh& mesh, const Camera& camera, int samples) {
     const Camera fine = scaled(camera, samples);
     const auto width = static_cast<size_t>(fine.intrinsics.width_px);
     std::vector<bool> covered(width * static_cast<size_t>(fine.intrinsics.height_px), false);
-    for_each_covered(mesh, fine, project_all(mesh, fine), [&](int x, int y, size_t, double, double, double) {
-        covered[static_cast<size_t>(y) * width + static_cast<size_t>(x)] = true;
-    });
+    for_each_covered(mesh, fine, project_all(mesh, fine),
+                     [&](int x, int y, size_t, double, double, double) { covered[static_cast<size_t>(y) * width + static_cast<size_t>(x)] = true; });
     Image8 out(camera.intrinsics.width_px, camera.intrinsics.height_px);
     const int full = samples * samples;
     for (int y = 0; y < out.height; ++y)
         for (int x = 0; x < out.width; ++x) {
             int count = 0;
             for (int sy = 0; sy < samples; ++sy)
-                for (int sx = 0; sx < samples; ++sx)
-                    count += covered[static_cast<size_t>(y * samples + sy) * width + static_cast<size_t>(x * samples + sx)];
+                for (int sx = 0; sx < samples; ++sx) count += covered[static_cast<size_t>(y * samples + sy) * width + static_cast<size_t>(x * samples + sx)];
             out.at(x, y) = static_cast<uint8_t>((count * 255 + full / 2) / full);
         }
     return out;

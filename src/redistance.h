@@ -18,9 +18,9 @@ namespace vdbcarve {
 /// What is asked of a re-distancing that keeps volume, and what came of it. Volumes in kernel::kVolumeUnits of a voxel.
 struct VolumeRepair {
     int64_t target = 0;
-    bool move = true;        ///< false: only measure
+    bool move = true;  ///< false: only measure
     int64_t before_move = 0, volume = 0;
-    double offset_vox = 0;   ///< outwards
+    double offset_vox = 0;  ///< outwards
     int steps = 0;
 };
 

@@ -31,7 +31,9 @@ Rgb rgb(const std::array<double, 3>& c) { return {static_cast<float>(c[0]), stat
 
 void check_options(const RenderOptions& o, const Camera& camera) {
     const Intrinsics& k = camera.intrinsics;
-    if (k.width_px < 1 || k.height_px < 1 || k.width_px > kMostPixels || k.height_px > kMostPixels) throw UsageError("render: pictures have 1 to " + std::to_string(kMostPixels) + " pixels a side, not " + std::to_string(k.width_px) + " x " + std::to_string(k.height_px));
+    if (k.width_px < 1 || k.height_px < 1 || k.width_px > kMostPixels || k.height_px > kMostPixels)
+        throw UsageError("render: pictures have 1 to " + std::to_string(kMostPixels) + " pixels a side, not " + std::to_string(k.width_px) + " x " +
+                         std::to_string(k.height_px));
     if (o.samples < 1 || o.samples > 16) throw UsageError("render: samples is " + std::to_string(o.samples) + ", must be 1..16");
     if (o.ambient_rays < 0 || o.ambient_rays > 256) throw UsageError("render: ambient rays are " + std::to_string(o.ambient_rays) + ", must be 0..256");
     if (!(o.ambient_reach > 0) || !std::isfinite(o.iso)) throw UsageError("render: the ambient reach must be > 0, and iso a number");
@@ -132,7 +134,9 @@ kernel::RenderRule render_rule(const RenderFrame& frame, const Camera& camera, c
         rule.plain = dark_behind ? Rgb{0.9f, 0.9f, 0.9f} : Rgb{0.01f, 0.02f, 0.03f};
     }
     rule.opaque = o.background.has_value();
-    if (o.background) rule.background = {static_cast<float>(linear_from_srgb((*o.background)[0] / 255.0)), static_cast<float>(linear_from_srgb((*o.background)[1] / 255.0)), static_cast<float>(linear_from_srgb((*o.background)[2] / 255.0))};
+    if (o.background)
+        rule.background = {static_cast<float>(linear_from_srgb((*o.background)[0] / 255.0)), static_cast<float>(linear_from_srgb((*o.background)[1] / 255.0)),
+                           static_cast<float>(linear_from_srgb((*o.background)[2] / 255.0))};
     return rule;
 }
 
@@ -151,7 +155,8 @@ struct RenderVolume::Parts {
     double milliseconds = 0;
 };
 
-RenderVolume::RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* color, Backend backend, int device) : parts_(std::make_unique<Parts>()) {
+RenderVolume::RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* color, Backend backend, int device)
+    : parts_(std::make_unique<Parts>()) {
     if (surface.getGridClass() != openvdb::GRID_LEVEL_SET) throw UsageError("render: grid '" + surface.getName() + "' is no level set");
     Parts& p = *parts_;
     const kernel::LatticeFrame lattice = lattice_frame(surface.transform());
@@ -162,7 +167,8 @@ RenderVolume::RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec
         for (auto v = leaf->cbeginValueOn(); v; ++v)
             if (*v < 0) inside.expand(v.getCoord());
     if (inside.empty()) throw UsageError("render: the volume has no inside");
-    for (const openvdb::Coord& c : {inside.min(), inside.max()}) p.bounds.extend(Vec3d(f.origin_world + f.voxel_size * Vec3d(c[0] - f.base.i, c[1] - f.base.j, c[2] - f.base.k)));
+    for (const openvdb::Coord& c : {inside.min(), inside.max()})
+        p.bounds.extend(Vec3d(f.origin_world + f.voxel_size * Vec3d(c[0] - f.base.i, c[1] - f.base.j, c[2] - f.base.k)));
     p.backend = choose_backend(backend, device);
     if (color) p.color = to_nanovdb(*color);
     if (p.backend == Backend::Cuda) {
@@ -177,7 +183,11 @@ RenderVolume::RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec
     const float near = kernel::kNearSurface_vox * static_cast<float>(f.voxel_size);
     p.near = sight_walls(*grid, near);
     p.solid = sight_walls(*grid, 0.f);
-    p.view = {{grid, p.near.data(), near, f.base}, {grid, p.solid.data(), 0.f, f.base}, f.box, reinterpret_cast<const nanovdb::NanoGrid<nanovdb::Vec3f>*>(p.color.data.get()), static_cast<float>(f.voxel_size)};
+    p.view = {{grid, p.near.data(), near, f.base},
+              {grid, p.solid.data(), 0.f, f.base},
+              f.box,
+              reinterpret_cast<const nanovdb::NanoGrid<nanovdb::Vec3f>*>(p.color.data.get()),
+              static_cast<float>(f.voxel_size)};
 }
 
 RenderVolume::~RenderVolume() = default;
@@ -245,12 +255,15 @@ Image8 render(const Mesh& mesh, const Camera& camera, const RenderOptions& optio
                     const double area2 = n.squaredNorm(), slope = n.dot(ray.direction);
                     if (area2 == 0 || slope == 0) continue;
                     const Vec3d p = ray.origin + n.dot(a - ray.origin) / slope * ray.direction - a;
-                    const double w1 = std::clamp(p.cross(e2).dot(n) / area2, 0.0, 1.0), w2 = std::clamp(e1.cross(p).dot(n) / area2, 0.0, 1.0), w0 = std::max(0.0, 1 - w1 - w2);
+                    const double w1 = std::clamp(p.cross(e2).dot(n) / area2, 0.0, 1.0), w2 = std::clamp(e1.cross(p).dot(n) / area2, 0.0, 1.0),
+                                 w0 = std::max(0.0, 1 - w1 - w2);
                     Vec3d normal = w0 * normals[t[0]].normalized() + w1 * normals[t[1]].normalized() + w2 * normals[t[2]].normalized();
                     if (!(normal.norm() > 0)) normal = n;
                     Rgb color = rule.plain;
                     if (options.color && !mesh.colors.empty()) {
-                        const auto c = [&](size_t i) { return static_cast<float>(w0 * mesh.colors[t[0]][i] + w1 * mesh.colors[t[1]][i] + w2 * mesh.colors[t[2]][i]); };
+                        const auto c = [&](size_t i) {
+                            return static_cast<float>(w0 * mesh.colors[t[0]][i] + w1 * mesh.colors[t[1]][i] + w2 * mesh.colors[t[2]][i]);
+                        };
                         color = {c(0), c(1), c(2)};
                     }
                     sum.color = kernel::plus(sum.color, 1.f, kernel::lit(color, vec3(normal.normalized()), vec3(-ray.direction), rule.lights, 1.f));
@@ -266,7 +279,8 @@ Image8 render(const Mesh& mesh, const Camera& camera, const RenderOptions& optio
 // ------------------------------------------------------------------------------------ cameras
 
 Camera orbit_camera(const Box3d& box, const Vec3d& up_world, const OrbitView& view) {
-    if (!(view.fov_deg >= 0 && view.fov_deg < 170)) throw UsageError("render: the field of view is " + std::to_string(view.fov_deg) + " degrees, must be 0 (orthographic) to 170");
+    if (!(view.fov_deg >= 0 && view.fov_deg < 170))
+        throw UsageError("render: the field of view is " + std::to_string(view.fov_deg) + " degrees, must be 0 (orthographic) to 170");
     const Vec3d up = up_world.normalized();
     const Vec3d first = std::fabs(up.x()) > 0.9 ? Vec3d::UnitY() : Vec3d::UnitX(), x = (first - first.dot(up) * up).normalized(), y = up.cross(x);
     const double a = view.azimuth_deg * kRadians, e = view.elevation_deg * kRadians;
@@ -338,7 +352,8 @@ Image8 beside_photo(ImageView<uint8_t> photo, ImageView<uint8_t> picture) {
             const int alpha = picture.channels == 4 ? picture.at(x, y, 3) : 255;
             for (int c = 0; c < 3; ++c) {
                 out.at(x, y, c) = small.empty() ? 0 : small.at(x, y, small.channels >= 3 ? c : 0);
-                out.at(picture.width + x, y, c) = static_cast<uint8_t>((picture.at(x, y, picture.channels >= 3 ? c : 0) * alpha + 255 * (255 - alpha) + 127) / 255);
+                out.at(picture.width + x, y, c) =
+                    static_cast<uint8_t>((picture.at(x, y, picture.channels >= 3 ? c : 0) * alpha + 255 * (255 - alpha) + 127) / 255);
             }
         }
     return out;
@@ -357,7 +372,8 @@ Image8 sheet_of(const std::vector<Image8>& pictures, const std::vector<std::stri
         for (int y = 0; y < p.height; ++y)
             for (int x = 0; x < p.width; ++x) {
                 const int alpha = p.channels == 4 ? p.at(x, y, 3) : 255;
-                for (int c = 0; c < 3; ++c) out.at(x0 + x, y0 + y, c) = static_cast<uint8_t>((p.at(x, y, p.channels >= 3 ? c : 0) * alpha + 255 * (255 - alpha) + 127) / 255);
+                for (int c = 0; c < 3; ++c)
+                    out.at(x0 + x, y0 + y, c) = static_cast<uint8_t>((p.at(x, y, p.channels >= 3 ? c : 0) * alpha + 255 * (255 - alpha) + 127) / 255);
             }
         if (static_cast<size_t>(i) < names.size()) io::write_text(out, x0, y0 + height + kText - 6, width, names[static_cast<size_t>(i)]);
     }

@@ -46,11 +46,14 @@ class RenderRun {
         const std::string e = job_.output.extension().string();
         if (e != ".png" && !is_film(job_.output)) throw UsageError(job_.output.string() + ": the extension says what to make: .png, or .mp4 or .webm (a film)");
         if (!fs::exists(job_.input)) throw InputError(job_.input.string() + ": no such file or folder");
-        if (is_film(job_.output) && (job_.sheet > 0 || !job_.view.empty() || options_.style == RenderStyle::Slice)) throw UsageError(job_.output.string() + ": a film is one turn around the object; a view, a sheet and slices are pictures. Remedy: -o FILE.png");
+        if (is_film(job_.output) && (job_.sheet > 0 || !job_.view.empty() || options_.style == RenderStyle::Slice))
+            throw UsageError(job_.output.string() + ": a film is one turn around the object; a view, a sheet and slices are pictures. Remedy: -o FILE.png");
         if (job_.sheet > 0 && !job_.view.empty()) throw UsageError("--sheet and --view: give one of them");
-        if (job_.frames < 2 || job_.frames > 100000 || !(job_.rate_hz > 0 && job_.rate_hz <= 240)) throw UsageError("--frames must be 2..100000, --rate above 0 and at most 240");
+        if (job_.frames < 2 || job_.frames > 100000 || !(job_.rate_hz > 0 && job_.rate_hz <= 240))
+            throw UsageError("--frames must be 2..100000, --rate above 0 and at most 240");
         if (is_film(job_.output) && !options_.background) throw UsageError(job_.output.string() + ": a film has no transparency. Remedy: another --background");
-        if (is_film(job_.output) && (job_.orbit.width_px % 2 || job_.orbit.height_px % 2)) throw UsageError(job_.output.string() + ": sides of a film must be even. Remedy: --size");
+        if (is_film(job_.output) && (job_.orbit.width_px % 2 || job_.orbit.height_px % 2))
+            throw UsageError(job_.output.string() + ": sides of a film must be even. Remedy: --size");
     }
 
     void load() {
@@ -60,7 +63,9 @@ class RenderRun {
             std::vector<const char*> names{"volume.vdb", "hull.vdb"};
             if (job_.mesh) names = {"mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"};
             const auto found = std::find_if(names.begin(), names.end(), [&](const char* n) { return fs::exists(job_.input / n); });
-            if (found == names.end()) throw InputError(job_.input.string() + ": holds no " + (job_.mesh ? "mesh" : "volume") + " of vdbcarve's. Remedy: `vdbcarve reconstruct` makes one");
+            if (found == names.end())
+                throw InputError(job_.input.string() + ": holds no " + (job_.mesh ? "mesh" : "volume") +
+                                 " of vdbcarve's. Remedy: `vdbcarve reconstruct` makes one");
             source /= *found;
         }
         // A result's files lie to its cameras as its report says.
@@ -75,8 +80,10 @@ class RenderRun {
             openvdb::FloatGrid::Ptr surface;
             openvdb::Vec3SGrid::Ptr color;
             for (const openvdb::GridBase::Ptr& grid : grids) {
-                if (!surface && grid->isType<openvdb::FloatGrid>() && grid->getGridClass() == openvdb::GRID_LEVEL_SET) surface = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
-                if (!color && grid->isType<openvdb::Vec3SGrid>() && (grid->getName() == "color" || grid->getName() == "Cd")) color = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
+                if (!surface && grid->isType<openvdb::FloatGrid>() && grid->getGridClass() == openvdb::GRID_LEVEL_SET)
+                    surface = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
+                if (!color && grid->isType<openvdb::Vec3SGrid>() && (grid->getName() == "color" || grid->getName() == "Cd"))
+                    color = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
             }
             if (!surface) throw InputError(source.string() + ": has no level set to render");
             if (const auto said = metadata["up_axis"]; up.empty() && said && said->str() != "unknown") up = said->str();
@@ -84,7 +91,8 @@ class RenderRun {
             bounds_ = volume_->bounds_world();
             summary_.backend_used = name_of(volume_->backend_used());
         } else {
-            if (options_.style != RenderStyle::Surface) throw UsageError(source.string() + ": a mesh has no voxels, no thickness and no sections. Remedy: the volume");
+            if (options_.style != RenderStyle::Surface)
+                throw UsageError(source.string() + ": a mesh has no voxels, no thickness and no sections. Remedy: the volume");
             if (job_.backend == Backend::Cuda) throw UsageError("--backend cuda: meshes are rendered on the CPU. Remedy: without it, or the volume");
             mesh_ = read_mesh(source);
             if (mesh_.triangles.empty()) throw InputError(source.string() + ": has no faces");
@@ -107,7 +115,8 @@ class RenderRun {
             o.cameras_only = true;
             views_ = load_views(o, progress_);
         } else {
-            if (folder_.empty() || !fs::exists(folder_ / "cameras.json")) throw InputError(job_.input.string() + ": has no cameras of its own. Remedy: the result's folder, or --cameras FILE");
+            if (folder_.empty() || !fs::exists(folder_ / "cameras.json"))
+                throw InputError(job_.input.string() + ": has no cameras of its own. Remedy: the result's folder, or --cameras FILE");
             views_ = result_views(folder_, job_.images, progress_);
         }
         return views_;
@@ -162,15 +171,20 @@ class RenderRun {
 
     void film() {
         progress_.begin("film", static_cast<size_t>(job_.frames));
-        const bool plays = write_film(static_cast<size_t>(job_.frames), [&](size_t i) {
-            OrbitView v = job_.orbit;
-            v.whole_turn = true;
-            v.azimuth_deg -= 360.0 * static_cast<double>(i) / job_.frames;  // the object turns counterclockwise
-            Image8 out = without_alpha(picture(orbit_camera(bounds_, up_, v)));
-            progress_.step();
-            return out;
-        }, job_.rate_hz, job_.output, FilmCodec::Browser);
-        if (!plays) progress_.warn(job_.output.string() + ": this machine's FFmpeg has no H.264, so the film is MPEG-4 part 2, which browsers do not play. Remedy: -o FILE.webm");
+        const bool plays = write_film(
+            static_cast<size_t>(job_.frames),
+            [&](size_t i) {
+                OrbitView v = job_.orbit;
+                v.whole_turn = true;
+                v.azimuth_deg -= 360.0 * static_cast<double>(i) / job_.frames;  // the object turns counterclockwise
+                Image8 out = without_alpha(picture(orbit_camera(bounds_, up_, v)));
+                progress_.step();
+                return out;
+            },
+            job_.rate_hz, job_.output, FilmCodec::Browser);
+        if (!plays)
+            progress_.warn(job_.output.string() +
+                           ": this machine's FFmpeg has no H.264, so the film is MPEG-4 part 2, which browsers do not play. Remedy: -o FILE.webm");
     }
 
     void sheet() {

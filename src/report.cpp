@@ -51,7 +51,8 @@ std::string base64(const uint8_t* bytes, size_t size) {
     std::string out;
     out.reserve((size + 2) / 3 * 4);
     for (size_t i = 0; i < size; i += 3) {
-        const uint32_t b = static_cast<uint32_t>(bytes[i]) << 16 | (i + 1 < size ? static_cast<uint32_t>(bytes[i + 1]) << 8 : 0) | (i + 2 < size ? bytes[i + 2] : 0);
+        const uint32_t b =
+            static_cast<uint32_t>(bytes[i]) << 16 | (i + 1 < size ? static_cast<uint32_t>(bytes[i + 1]) << 8 : 0) | (i + 2 < size ? bytes[i + 2] : 0);
         out += digits[b >> 18];
         out += digits[b >> 12 & 63];
         out += i + 1 < size ? digits[b >> 6 & 63] : '=';
@@ -60,9 +61,13 @@ std::string base64(const uint8_t* bytes, size_t size) {
     return out;
 }
 
-std::string data_uri(const char* type, const std::vector<uint8_t>& bytes) { return std::string("data:") + type + ";base64," + base64(bytes.data(), bytes.size()); }
+std::string data_uri(const char* type, const std::vector<uint8_t>& bytes) {
+    return std::string("data:") + type + ";base64," + base64(bytes.data(), bytes.size());
+}
 
-std::string bytes_text(double bytes) { return bytes >= 1e9 ? text_of("%.2f GB", bytes / 1e9) : bytes >= 1e6 ? text_of("%.0f MB", bytes / 1e6) : text_of("%.0f kB", bytes / 1e3); }
+std::string bytes_text(double bytes) {
+    return bytes >= 1e9 ? text_of("%.2f GB", bytes / 1e9) : bytes >= 1e6 ? text_of("%.0f MB", bytes / 1e6) : text_of("%.0f kB", bytes / 1e3);
+}
 
 /// Thousands set apart.
 std::string count_text(double n) {
@@ -99,13 +104,15 @@ struct SeenView {
 
 class Page {
   public:
-    Page(const fs::path& result, const ReportOptions& options, Progress& progress, const Mesh* mesh) : result_(result), options_(options), progress_(progress), given_(mesh) {}
+    Page(const fs::path& result, const ReportOptions& options, Progress& progress, const Mesh* mesh)
+        : result_(result), options_(options), progress_(progress), given_(mesh) {}
 
     std::string html() {
         load();
         progress_.begin("report", seen_.size() + 2);
         const fs::path whole = fs::absolute(result_).lexically_normal();
-        body_ << "<header><h1>" << escaped((whole.has_filename() ? whole : whole.parent_path()).filename().string()) << "</h1><p class=sub>" << escaped(report_["scene"].value("folder", "")) << "</p></header>\n";
+        body_ << "<header><h1>" << escaped((whole.has_filename() ? whole : whole.parent_path()).filename().string()) << "</h1><p class=sub>"
+              << escaped(report_["scene"].value("folder", "")) << "</p></header>\n";
         contradiction();
         summary();
         warnings();
@@ -132,7 +139,8 @@ class Page {
         } catch (const json::exception& e) {
             throw InputError(file.string() + ": " + e.what());
         }
-        if (!report_.contains("mesh") || !report_.contains("views")) throw InputError(file.string() + ": is not of a finished reconstruct. Remedy: `vdbcarve reconstruct` with the same -o goes on");
+        if (!report_.contains("mesh") || !report_.contains("views"))
+            throw InputError(file.string() + ": is not of a finished reconstruct. Remedy: `vdbcarve reconstruct` with the same -o goes on");
         if (!given_) {
             fs::path mesh_file;
             for (const char* name : {"mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"})
@@ -164,7 +172,8 @@ class Page {
             }
             seen_.push_back(s);
         }
-        std::stable_sort(seen_.begin(), seen_.end(), [](const SeenView& a, const SeenView& b) { return std::pair(!a.used, a.iou) < std::pair(!b.used, b.iou); });
+        std::stable_sort(seen_.begin(), seen_.end(),
+                         [](const SeenView& a, const SeenView& b) { return std::pair(!a.used, a.iou) < std::pair(!b.used, b.iou); });
     }
 
     static std::string head() {
@@ -194,7 +203,9 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         return out + "</head><body><main>\n";
     }
 
-    void tile(const std::string& what, const std::string& value, const std::string& kind = "") { body_ << "<div class=tile><small>" << what << "</small><b class=\"" << kind << "\">" << value << "</b></div>"; }
+    void tile(const std::string& what, const std::string& value, const std::string& kind = "") {
+        body_ << "<div class=tile><small>" << what << "</small><b class=\"" << kind << "\">" << value << "</b></div>";
+    }
 
     void summary() {
         const json& mesh = report_["mesh"];
@@ -229,7 +240,8 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         body_ << "<h2>Warnings</h2>\n";
         for (const std::string& w : all) {
             const size_t at = w.find(". Remedy: ");
-            body_ << "<div class=warn>" << escaped(w.substr(0, at)) << (at == std::string::npos ? "" : "<i>Remedy: " + escaped(w.substr(at + 10)) + "</i>") << "</div>\n";
+            body_ << "<div class=warn>" << escaped(w.substr(0, at)) << (at == std::string::npos ? "" : "<i>Remedy: " + escaped(w.substr(at + 10)) + "</i>")
+                  << "</div>\n";
         }
     }
 
@@ -250,7 +262,11 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         const std::string poster = data_uri("image/png", io::encode_png(picture));
         progress_.step();
         if (!report_has_viewer() || options_.most_faces == 0) {
-            out << "<img class=poster alt=\"the model\" src=\"" << poster << "\">\n<p><small>" << (report_has_viewer() ? "A picture only, as was asked for." : "This vdbcarve was built without the 3-D viewer (model-viewer, from npm): a picture instead; mesh.glb opens in any 3-D program.") << "</small></p>\n";
+            out << "<img class=poster alt=\"the model\" src=\"" << poster << "\">\n<p><small>"
+                << (report_has_viewer()
+                        ? "A picture only, as was asked for."
+                        : "This vdbcarve was built without the 3-D viewer (model-viewer, from npm): a picture instead; mesh.glb opens in any 3-D program.")
+                << "</small></p>\n";
             return out.str();
         }
         const Eigen::Quaterniond upright = Eigen::Quaterniond::FromTwoVectors(o.up, Vec3d::UnitY());  // as the viewer has it
@@ -275,14 +291,20 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
             uri = "data:model/gltf-binary;base64," + base64(reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size());
             if (bytes_so_far + poster.size() + uri.size() + 1'200'000 <= options_.most_bytes || faces < 2000) break;
         }
-        out << "<model-viewer camera-controls touch-action=pan-y interaction-prompt=none shadow-intensity=0.6 tone-mapping=neutral alt=\"the model\" poster=\"" << poster << "\" src=\"" << uri << "\"></model-viewer>\n<noscript><img class=poster alt=\"the model\" src=\"" << poster
-            << "\"></noscript>\n<p><small>Drag to turn, wheel or two fingers to come nearer." << (small.triangles.size() < faces_ ? " " + count_text(static_cast<double>(small.triangles.size())) + " of " + count_text(static_cast<double>(faces_)) + " faces." : "") << "</small></p>\n";
+        out << "<model-viewer camera-controls touch-action=pan-y interaction-prompt=none shadow-intensity=0.6 tone-mapping=neutral alt=\"the model\" poster=\""
+            << poster << "\" src=\"" << uri << "\"></model-viewer>\n<noscript><img class=poster alt=\"the model\" src=\"" << poster
+            << "\"></noscript>\n<p><small>Drag to turn, wheel or two fingers to come nearer."
+            << (small.triangles.size() < faces_
+                    ? " " + count_text(static_cast<double>(small.triangles.size())) + " of " + count_text(static_cast<double>(faces_)) + " faces."
+                    : "")
+            << "</small></p>\n";
         return out.str();
     }
 
     static bool on_edge(const Image8& m, int x, int y) {
         if (m.at(x, y) < 128) return false;
-        return x == 0 || y == 0 || x + 1 == m.width || y + 1 == m.height || m.at(x - 1, y) < 128 || m.at(x + 1, y) < 128 || m.at(x, y - 1) < 128 || m.at(x, y + 1) < 128;
+        return x == 0 || y == 0 || x + 1 == m.width || y + 1 == m.height || m.at(x - 1, y) < 128 || m.at(x + 1, y) < 128 || m.at(x, y - 1) < 128 ||
+               m.at(x, y + 1) < 128;
     }
 
     /// The photograph, with the mask's and the hull's contours.
@@ -300,13 +322,16 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
             }
         }
         Image8 mask;
-        if (const fs::path file = result_ / "masks" / mask_names_[v.number]; fs::exists(file)) mask = io::downscale(io::read_image8(file).view(), width, height);
+        if (const fs::path file = result_ / "masks" / mask_names_[v.number]; fs::exists(file))
+            mask = io::downscale(io::read_image8(file).view(), width, height);
         const Image8 hull = silhouette_of(mesh(), camera);
         for (int y = 0; y < height; ++y)
             for (int x = 0; x < width; ++x) {
                 if (!photo.empty())
                     for (int c = 0; c < 3; ++c) out.at(x, y, c) = photo.at(x, y, photo.channels >= 3 ? c : 0);
-                const auto set = [&](int r, int g, int b) { out.at(x, y, 0) = static_cast<uint8_t>(r), out.at(x, y, 1) = static_cast<uint8_t>(g), out.at(x, y, 2) = static_cast<uint8_t>(b); };
+                const auto set = [&](int r, int g, int b) {
+                    out.at(x, y, 0) = static_cast<uint8_t>(r), out.at(x, y, 1) = static_cast<uint8_t>(g), out.at(x, y, 2) = static_cast<uint8_t>(b);
+                };
                 if (!mask.empty() && mask.channels == 1 && on_edge(mask, x, y)) set(70, 230, 90);
                 if (on_edge(hull, x, y)) set(255, 60, 200);
             }
@@ -318,8 +343,13 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         const fs::path file = result_ / "stereo.png";
         if (!report_.contains("stereo") || !fs::exists(file)) return;
         const json& s = report_["stereo"];
-        body_ << "<h2>Concavities</h2>\n<p>" << text_of("%.0f %% of the object's pixels have a depth that other views bear out; depths took %.2f %% off the hull's volume. Orange surface was carved by depth; grey surface is where the hull stands.", 100 * s.value("trusted_share", 0.0), 100 * (1 - s.value("volume", 0.0) / std::max(s.value("volume_before", 1.0), 1e-300)))
-              << "</p>\n<div class=scroll><img style=\"width:100%;min-width:640px\" alt=\"photographs, their depths, and where these carved the hull\" src=\"" << data_uri("image/jpeg", io::encode_jpeg(io::read_image8(file).view(), 85, 0)) << "\"></div>\n";
+        body_ << "<h2>Concavities</h2>\n<p>"
+              << text_of(
+                     "%.0f %% of the object's pixels have a depth that other views bear out; depths took %.2f %% off the hull's volume. Orange surface was "
+                     "carved by depth; grey surface is where the hull stands.",
+                     100 * s.value("trusted_share", 0.0), 100 * (1 - s.value("volume", 0.0) / std::max(s.value("volume_before", 1.0), 1e-300)))
+              << "</p>\n<div class=scroll><img style=\"width:100%;min-width:640px\" alt=\"photographs, their depths, and where these carved the hull\" src=\""
+              << data_uri("image/jpeg", io::encode_jpeg(io::read_image8(file).view(), 85, 0)) << "\"></div>\n";
     }
 
     void photographs() {
@@ -333,22 +363,26 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
             uris[i] = data_uri("image/jpeg", io::encode_jpeg(overlay(*shown[i]).view(), 82, 0));
             progress_.step();
         });
-        body_ << "<h2>Photographs, worst first</h2>\n<p class=key><span style=\"background:#ff3cc8\"></span>the model's contour<span style=\"background:#46e65a\"></span>the mask's, where they differ</p>\n<div class=photos>\n";
+        body_ << "<h2>Photographs, worst first</h2>\n<p class=key><span style=\"background:#ff3cc8\"></span>the model's contour<span "
+                 "style=\"background:#46e65a\"></span>the mask's, where they differ</p>\n<div class=photos>\n";
         for (size_t i = 0; i < shown.size(); ++i) {
             const SeenView& v = *shown[i];
-            body_ << "<figure><img loading=lazy alt=\"" << escaped(v.name) << "\" src=\"" << uris[i] << "\"><figcaption>" << escaped(v.name) << "<br><b class=" << grade(v.used, v.iou) << ">" << (v.used ? text_of("IoU %.4f", v.iou) : "not used") << "</b> <small>"
+            body_ << "<figure><img loading=lazy alt=\"" << escaped(v.name) << "\" src=\"" << uris[i] << "\"><figcaption>" << escaped(v.name)
+                  << "<br><b class=" << grade(v.used, v.iou) << ">" << (v.used ? text_of("IoU %.4f", v.iou) : "not used") << "</b> <small>"
                   << (v.used ? text_of("contours within %.1f px (95 %%)", v.p95_px) : "") << "</small></figcaption></figure>\n";
         }
         body_ << "</div>\n";
         const auto with_camera = static_cast<size_t>(std::count_if(seen_.begin(), seen_.end(), [](const SeenView& v) { return v.view != nullptr; }));
         if (shown.size() < with_camera) body_ << "<p><small>" << with_camera - shown.size() << " more views are in report.json.</small></p>\n";
-        if (with_camera < seen_.size()) body_ << "<p><small>" << counted(seen_.size() - with_camera, "view") << " of the camera file without a photograph.</small></p>\n";
+        if (with_camera < seen_.size())
+            body_ << "<p><small>" << counted(seen_.size() - with_camera, "view") << " of the camera file without a photograph.</small></p>\n";
     }
 
     /// From above and from the side.
     void orbit() {
         if (cameras_.empty()) return;
-        const Vec3d up = up_direction(views_.up, cameras_), first = std::fabs(up.x()) > 0.9 ? Vec3d::UnitY() : Vec3d::UnitX(), x = (first - first.dot(up) * up).normalized(), y = up.cross(x);
+        const Vec3d up = up_direction(views_.up, cameras_), first = std::fabs(up.x()) > 0.9 ? Vec3d::UnitY() : Vec3d::UnitX(),
+                    x = (first - first.dot(up) * up).normalized(), y = up.cross(x);
         Box3d box;
         for (const auto& v : mesh().vertices) box.extend(Vec3d(v[0], v[1], v[2]));
         const Vec3d middle = box.center();
@@ -375,12 +409,15 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
                 if (!v.view || cameras_[v.number].intrinsics.orthographic) continue;
                 const Camera& c = cameras_[v.number];
                 const Vec2d from = place(c.centre_world()), to = place(c.centre_world() + 0.12 * reach * c.forward_world());
-                body_ << text_of("<g class=%s><title>%s", grade(v.used, v.iou), escaped(v.name).c_str()) << (v.used ? text_of(", IoU %.4f", v.iou) : ", not used")
-                      << text_of("</title><path stroke=currentColor d=\"M%.1f %.1fL%.1f %.1f\"/><circle cx=%.1f cy=%.1f r=4 fill=currentColor /></g>\n", from.x(), from.y(), to.x(), to.y(), from.x(), from.y());
+                body_ << text_of("<g class=%s><title>%s", grade(v.used, v.iou), escaped(v.name).c_str())
+                      << (v.used ? text_of(", IoU %.4f", v.iou) : ", not used")
+                      << text_of("</title><path stroke=currentColor d=\"M%.1f %.1fL%.1f %.1f\"/><circle cx=%.1f cy=%.1f r=4 fill=currentColor /></g>\n",
+                                 from.x(), from.y(), to.x(), to.y(), from.x(), from.y());
             }
             body_ << "<text x=8 y=412>" << (above ? "from above" : "from the side") << "</text></svg>\n";
         }
-        body_ << "</div>\n<p><small>" << escaped(report_["cameras"].value("file", "")) << " (" << escaped(report_["cameras"].value("format", "")) << ")</small></p>\n";
+        body_ << "</div>\n<p><small>" << escaped(report_["cameras"].value("file", "")) << " (" << escaped(report_["cameras"].value("format", ""))
+              << ")</small></p>\n";
     }
 
     void stages() {
@@ -388,8 +425,10 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         for (const json& s : report_["stages"]) longest = std::max(longest, s.value("seconds", 0.0));
         body_ << "<h2>Stages</h2>\n<div class=scroll><table><tr><th>stage<th>seconds<th style=\"width:40%\"><th>memory<th>where</tr>\n";
         for (const json& s : report_["stages"])
-            body_ << "<tr><td>" << escaped(s.value("name", "")) << "<td class=n>" << text_of("%.2f", s.value("seconds", 0.0)) << "<td><div class=bar style=\"width:" << text_of("%.1f", 100 * s.value("seconds", 0.0) / longest) << "%\"></div><td class=n>" << bytes_text(s.value("peak_rss_bytes", 0.0)) << "<td>"
-                  << (s.value("reused", false) ? "already there" : escaped(s.value("backend", ""))) << "</tr>\n";
+            body_ << "<tr><td>" << escaped(s.value("name", "")) << "<td class=n>" << text_of("%.2f", s.value("seconds", 0.0))
+                  << "<td><div class=bar style=\"width:" << text_of("%.1f", 100 * s.value("seconds", 0.0) / longest) << "%\"></div><td class=n>"
+                  << bytes_text(s.value("peak_rss_bytes", 0.0)) << "<td>" << (s.value("reused", false) ? "already there" : escaped(s.value("backend", "")))
+                  << "</tr>\n";
         body_ << "</table></div>\n";
     }
 
@@ -411,7 +450,8 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
 
     void settings() {
         const std::string text = fs::exists(result_ / "config.toml") ? read_file(result_ / "config.toml") : "";
-        if (!text.empty()) body_ << "<h2>Settings</h2>\n<details><summary>config.toml, which repeats the run</summary><pre>" << escaped(text) << "</pre></details>\n";
+        if (!text.empty())
+            body_ << "<h2>Settings</h2>\n<details><summary>config.toml, which repeats the run</summary><pre>" << escaped(text) << "</pre></details>\n";
     }
 
     const fs::path result_;
@@ -440,7 +480,9 @@ bool report_has_viewer() {
 #endif
 }
 
-std::string report_html(const fs::path& result, const ReportOptions& options, Progress& progress, const Mesh* mesh) { return Page(result, options, progress, mesh).html(); }
+std::string report_html(const fs::path& result, const ReportOptions& options, Progress& progress, const Mesh* mesh) {
+    return Page(result, options, progress, mesh).html();
+}
 
 size_t write_report(const fs::path& result, const fs::path& file, const ReportOptions& options, Progress& progress, const Mesh* mesh) {
     const std::string html = report_html(result, options, progress, mesh);

@@ -9,8 +9,11 @@
 
 namespace vdbcarve {
 
-RingAligner::RingAligner(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress) : given_(views), o_(options), progress_(progress), silhouettes_(masks), n_(masks.size()) {
-    if (silhouettes_.seen().size() < 4) throw InputError("align: " + counted(silhouettes_.seen().size(), "view") + " with a silhouette; at least 4 are needed, a dozen make sense. Remedy: more photographs");
+RingAligner::RingAligner(const Views& views, const std::vector<MaskView>& masks, const AlignOptions& options, Progress& progress)
+    : given_(views), o_(options), progress_(progress), silhouettes_(masks), n_(masks.size()) {
+    if (silhouettes_.seen().size() < 4)
+        throw InputError("align: " + counted(silhouettes_.seen().size(), "view") +
+                         " with a silhouette; at least 4 are needed, a dozen make sense. Remedy: more photographs");
     mask_noise_px_ = find_mask_noise_px();
 }
 
@@ -30,7 +33,8 @@ CoherencePass RingAligner::middle() const {
 }
 
 CoherencePass RingAligner::fine(double rms_px) const {
-    return {scale_for(700), points_of(static_cast<size_t>(o_.points)), std::max(1.0, 2 * rms_px), 25, std::clamp(1.5 * rms_px, 0.1, 3.0), 1e-3, 0.5, 0.75, 1.0, 8};
+    return {
+        scale_for(700), points_of(static_cast<size_t>(o_.points)), std::max(1.0, 2 * rms_px), 25, std::clamp(1.5 * rms_px, 0.1, 3.0), 1e-3, 0.5, 0.75, 1.0, 8};
 }
 
 std::vector<OrbitView> RingAligner::nominal(Turn direction, double arc_deg) const {
@@ -154,7 +158,8 @@ Candidate RingAligner::climbed(const Candidate& c, Orbit orbit) const {
     out.orbit = orbit;
     OrbitModel& m = out.fit.model;
     if (orbit == Orbit::HandHeld)
-        for (const auto& [shared, own] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}}) {
+        for (const auto& [shared, own] :
+             {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}}) {
             for (size_t i = 0; i < n_; ++i) m.of(i, own).value += m.ring(static_cast<size_t>(m.ring_of(i)), shared).value;
             for (size_t r = 0; r < m.rings(); ++r) m.ring(r, shared).hold(0);
         }
@@ -222,7 +227,8 @@ int RingAligner::search(Orbit orbit, const std::vector<Start>& from, Best& best,
     std::vector<std::pair<Turn, double>> found;
     const auto agreeing = [&] {
         const Candidate& c = lead(best);
-        return static_cast<int>(std::count_if(found.begin(), found.end(), [&](const auto& f) { return f.first == c.turn && f.second < 1.2 * c.typical_px() + 0.01 * coarse().scale; }));
+        return static_cast<int>(std::count_if(found.begin(), found.end(),
+                                              [&](const auto& f) { return f.first == c.turn && f.second < 1.2 * c.typical_px() + 0.01 * coarse().scale; }));
     };
     for (const Start& s : from) {
         const bool decided = settled(best, good_coarse_px());
@@ -235,7 +241,8 @@ int RingAligner::search(Orbit orbit, const std::vector<Start>& from, Best& best,
             pass.misses = misses;
             if (!best.empty()) pass.give_up_px = 10 * lead(best).rms_px() + good_coarse_px();
             fit(c, pass, 1);
-            trace("%s %s%s arc %.0f f x%.2f e %.0f%s: %.3f px, f x%.3f", name_of(orbit), name_of(turn), misses ? " robust" : "", s.arc_deg, std::exp(s.ln_focal), s.elevation_rad / kRadians, s.uneven ? " uneven" : "", c.typical_px(),
+            trace("%s %s%s arc %.0f f x%.2f e %.0f%s: %.3f px, f x%.3f", name_of(orbit), name_of(turn), misses ? " robust" : "", s.arc_deg,
+                  std::exp(s.ln_focal), s.elevation_rad / kRadians, s.uneven ? " uneven" : "", c.typical_px(),
                   std::exp(c.fit.model.global(OrbitModel::LnFocal).value));
             found.emplace_back(turn, c.typical_px());
             const auto known = best.find(turn);
@@ -257,7 +264,8 @@ void RingAligner::polish(Candidate& c) {
     trim(c.fit);
     const double rms = c.rms_px();
     if (rms < 0.5 * after_middle) refine(c.fit, silhouettes_, robust(fine(rms)), progress_);
-    trace("%s %s polished: %.4f px after %.4f, f %.1f", name_of(c.orbit), name_of(c.turn), c.rms_px(), after_middle, c.fit.model.focal_px(silhouettes_.seen().front()));
+    trace("%s %s polished: %.4f px after %.4f, f %.1f", name_of(c.orbit), name_of(c.turn), c.rms_px(), after_middle,
+          c.fit.model.focal_px(silhouettes_.seen().front()));
 }
 
 void RingAligner::settle(Candidate& c) {
@@ -266,12 +274,13 @@ void RingAligner::settle(Candidate& c) {
     fit(c, pass, 6);
     polish(c);
     place_bad(c, middle());
-    // They may have been led astray before they were known to be bad: from its neighbours' places, each has a second chance. (Where a neighbour is missing too the hull bulges, and bears
-    // many places.)
+    // They may have been led astray before they were known to be bad: from its neighbours' places, each has a second chance. (Where a neighbour is missing too
+    // the hull bulges, and bears many places.)
     const std::vector<size_t>& seen = silhouettes_.seen();
     std::vector<size_t> alone;
     for (size_t k = 0; k < seen.size(); ++k)
-        if (silhouettes_.bad(seen[k]) && !silhouettes_.bad(seen[(k + 1) % seen.size()]) && !silhouettes_.bad(seen[(k + seen.size() - 1) % seen.size()])) alone.push_back(seen[k]);
+        if (silhouettes_.bad(seen[k]) && !silhouettes_.bad(seen[(k + 1) % seen.size()]) && !silhouettes_.bad(seen[(k + seen.size() - 1) % seen.size()]))
+            alone.push_back(seen[k]);
     if (alone.empty()) return;
     Candidate anew = c;
     for (size_t i : alone) start_anew(anew, i);
@@ -330,7 +339,8 @@ void RingAligner::place_bad(Candidate& c, const CoherencePass& pass) {
     for (const size_t p : m.free()) m.at(p).sigma = 0;
     for (size_t i : silhouettes_.seen())
         if (silhouettes_.bad(i))
-            for (int part = 0; part < OrbitModel::kViewParts; ++part) m.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma = c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma;
+            for (int part = 0; part < OrbitModel::kViewParts; ++part)
+                m.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma = c.fit.model.of(i, static_cast<OrbitModel::ViewPart>(part)).sigma;
     if (m.free().empty()) return;
     refine(alone.fit, silhouettes_, pass, progress_);
     for (size_t i : silhouettes_.seen())
@@ -380,14 +390,17 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
             if (!settled(hand, good_coarse_px()) && robust_misses(std::min(n_, kKeyViews)) > 0) {
                 // A few silhouettes may be wrong: does it work without listening to all of them?
                 Best robust;
-                const int agree = search(Orbit::HandHeld, {all.begin(), all.begin() + std::min<long>(3, static_cast<long>(all.size()))}, robust, robust_misses(std::min(n_, kKeyViews)));
+                const int agree = search(Orbit::HandHeld, {all.begin(), all.begin() + std::min<long>(3, static_cast<long>(all.size()))}, robust,
+                                         robust_misses(std::min(n_, kKeyViews)));
                 if (settled(robust, good_coarse_px())) hand = robust, agreeing_ = agree;
             }
-            if (lead(hand).misses == 0 && (!settled(hand, good_coarse_px()) || agreeing_ < 2)) agreeing_ += search(Orbit::HandHeld, {all.begin() + 1, all.end()}, hand);
+            if (lead(hand).misses == 0 && (!settled(hand, good_coarse_px()) || agreeing_ < 2))
+                agreeing_ += search(Orbit::HandHeld, {all.begin() + 1, all.end()}, hand);
         }
     }
     progress_.step(3);
-    if (!table.empty() && !settled(table, good_coarse_px()) && (hand.empty() || !settled(hand, good_coarse_px()))) agreeing_ = search(Orbit::Turntable, {all.begin() + 1, all.end()}, table);
+    if (!table.empty() && !settled(table, good_coarse_px()) && (hand.empty() || !settled(hand, good_coarse_px())))
+        agreeing_ = search(Orbit::Turntable, {all.begin() + 1, all.end()}, table);
     progress_.step(1);
 
     const auto unknowns = [](const Candidate& c) { return static_cast<int>(c.fit.model.free().size()); };
@@ -451,7 +464,8 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
     if (o_.direction == Turn::Auto && out.size() == 1) {
         const Turn other = winner.turn == Turn::Clockwise ? Turn::Counterclockwise : Turn::Clockwise;
         Candidate c{{}, winner.orbit, other};
-        c.fit.model = start(winner.orbit, other, {o_.arc_deg, winner.fit.model.global(OrbitModel::LnFocal).value, winner.fit.model.ring(0, OrbitModel::Elevation).value, false});
+        c.fit.model = start(winner.orbit, other,
+                            {o_.arc_deg, winner.fit.model.global(OrbitModel::LnFocal).value, winner.fit.model.ring(0, OrbitModel::Elevation).value, false});
         fit(c, coarse(), 1);
         if (c.typical_px() < 4 * best_coarse + good_coarse_px()) polish(c);
         out[other] = c;

@@ -41,7 +41,8 @@ class RingAligner {
     /// So many are searched with: 36 find a hand-held orbit in every case of src/align.md, and time grows with their square.
     static constexpr size_t kKeyViews = 48;
 
-    /// Contour points a view: `points`, and beyond the number of key views fewer, since each point is held against all other views and all of them together need no more points.
+    /// Contour points a view: `points`, and beyond the number of key views fewer, since each point is held against all other views and all of them together
+    /// need no more points.
     size_t points_of(size_t points) const;
     CoherencePass coarse() const;
     CoherencePass middle() const;

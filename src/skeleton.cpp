@@ -19,12 +19,14 @@ std::vector<std::array<int, 2>> skeleton_near(ImageView<uint8_t> coverage, Image
         constexpr int kRoom = 2 * kThinHalfWidth_px, kSpeck = 3;
         if (statistics.at<int>(n, cv::CC_STAT_AREA) < kSpeck) continue;
         const cv::Rect part = cv::Rect(statistics.at<int>(n, cv::CC_STAT_LEFT) - kRoom, statistics.at<int>(n, cv::CC_STAT_TOP) - kRoom,
-                                       statistics.at<int>(n, cv::CC_STAT_WIDTH) + 2 * kRoom, statistics.at<int>(n, cv::CC_STAT_HEIGHT) + 2 * kRoom) & all;
+                                       statistics.at<int>(n, cv::CC_STAT_WIDTH) + 2 * kRoom, statistics.at<int>(n, cv::CC_STAT_HEIGHT) + 2 * kRoom) &
+                              all;
         cv::Mat thin;
         cv::ximgproc::thinning(object(part), thin, cv::ximgproc::THINNING_ZHANGSUEN);
         for (int y = 0; y < part.height; ++y)
             for (int x = 0; x < part.width; ++x)
-                if (thin.at<uint8_t>(y, x) && half_width.at<float>(y + part.y, x + part.x) <= kThinHalfWidth_px && labels.at<int>(y + part.y, x + part.x) == n) out.push_back({x + part.x, y + part.y});
+                if (thin.at<uint8_t>(y, x) && half_width.at<float>(y + part.y, x + part.x) <= kThinHalfWidth_px && labels.at<int>(y + part.y, x + part.x) == n)
+                    out.push_back({x + part.x, y + part.y});
     }
     return out;
 }

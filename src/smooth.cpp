@@ -10,14 +10,17 @@ namespace vdbcarve {
 
 double mu_for(double lambda, double pass_band) {
     if (!(lambda > 0 && lambda < 1)) throw UsageError("smooth: lambda is " + std::to_string(lambda) + ", must be between 0 and 1");
-    if (!(pass_band > 0 && pass_band < 1 / lambda)) throw UsageError("smooth: the pass band is " + std::to_string(pass_band) + ", must be between 0 and 1 / lambda = " + std::to_string(1 / lambda));
+    if (!(pass_band > 0 && pass_band < 1 / lambda))
+        throw UsageError("smooth: the pass band is " + std::to_string(pass_band) + ", must be between 0 and 1 / lambda = " + std::to_string(1 / lambda));
     return 1 / (pass_band - 1 / lambda);
 }
 
 void smooth(Mesh& mesh, const SmoothOptions& options, Progress& progress) {
-    if (options.iterations < 0 || options.iterations > 10000) throw UsageError("smooth: " + std::to_string(options.iterations) + " iterations, must be 0..10000");
+    if (options.iterations < 0 || options.iterations > 10000)
+        throw UsageError("smooth: " + std::to_string(options.iterations) + " iterations, must be 0..10000");
     if (!(options.lambda > 0 && options.lambda < 1)) throw UsageError("smooth: lambda is " + std::to_string(options.lambda) + ", must be between 0 and 1");
-    if (!(options.mu < -options.lambda && options.mu > -2)) throw UsageError("smooth: mu is " + std::to_string(options.mu) + ", must be less than -lambda (or the mesh shrinks) and more than -2");
+    if (!(options.mu < -options.lambda && options.mu > -2))
+        throw UsageError("smooth: mu is " + std::to_string(options.mu) + ", must be less than -lambda (or the mesh shrinks) and more than -2");
     if (options.iterations == 0) return;
     progress.begin("smooth", 2 * static_cast<size_t>(options.iterations));
     const HalfEdgeMesh half_edges = to_half_edges(mesh);

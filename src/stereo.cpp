@@ -42,8 +42,15 @@ class SeenVolume {
 
 class Matcher {
   public:
-    Matcher(const openvdb::FloatGrid& surface, const SeenVolume& volume, const std::vector<StereoSource>& sources, const StereoOptions& options, Progress& progress)
-        : sources_(sources), options_(options), rule_(trust_rule(options.trust)), progress_(progress), volume_(volume), deepest_(options.depth_share * longest_side(surface)), voxel_(surface.voxelSize()[0]) {}
+    Matcher(const openvdb::FloatGrid& surface, const SeenVolume& volume, const std::vector<StereoSource>& sources, const StereoOptions& options,
+            Progress& progress)
+        : sources_(sources),
+          options_(options),
+          rule_(trust_rule(options.trust)),
+          progress_(progress),
+          volume_(volume),
+          deepest_(options.depth_share * longest_side(surface)),
+          voxel_(surface.voxelSize()[0]) {}
 
     /// Best planes of a view, and how likely they are by what it was compared with.
     StereoDepthMap match(size_t v, const StereoLevel* coarser, StereoViewStatistics& statistics) {
@@ -80,7 +87,8 @@ class Matcher {
     void keep_agreed(std::vector<StereoDepthMap>& maps) const {
         std::vector<kernel::StereoDepths> depths(maps.size());
         for (size_t v = 0; v < maps.size(); ++v)
-            if (!maps[v].planes.empty()) depths[v] = {maps[v].planes.data(), maps[v].confidence.data(), sources_[v].lens, sources_[v].width, sources_[v].height};
+            if (!maps[v].planes.empty())
+                depths[v] = {maps[v].planes.data(), maps[v].confidence.data(), sources_[v].lens, sources_[v].width, sources_[v].height};
         std::vector<std::vector<float>> agreed(maps.size());
         for (size_t v = 0; v < maps.size(); ++v) {
             if (maps[v].planes.empty()) continue;
@@ -128,7 +136,8 @@ class Matcher {
 
 }  // namespace
 
-StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress) {
+StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options,
+                    Progress& progress) {
     check_stereo(surface, inputs, options);
     StereoResult out;
     const size_t n = inputs.size();
@@ -165,7 +174,8 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
     progress.step();
     lap("fuse");
     Progress quiet;
-    finish_stereo(out, surface, plan, fused, options, [&](openvdb::FloatGrid::Ptr field, int half_width_vox) { return redistance(std::move(field), half_width_vox, nullptr, quiet); });
+    finish_stereo(out, surface, plan, fused, options,
+                  [&](openvdb::FloatGrid::Ptr field, int half_width_vox) { return redistance(std::move(field), half_width_vox, nullptr, quiet); });
     out.maps.resize(n);
     tbb::parallel_for(size_t{0}, n, [&](size_t v) {
         const StereoSource& s = levels.front().sources[v];

@@ -23,7 +23,8 @@ using Leaf = openvdb::FloatTree::LeafNodeType;
 
 constexpr int kCell_px = 8;
 
-/// The larger of hull and depth is what is left, so that noise of depths would eat into a hull that is right. Where they nearly agree the hull is: near it depths have to say more by a pixel of the object, which is how far they may be off.
+/// The larger of hull and depth is what is left, so that noise of depths would eat into a hull that is right. Where they nearly agree the hull is: near it
+/// depths have to say more by a pixel of the object, which is how far they may be off.
 constexpr double kHullMargin_px = 1, kMostHullMargin_vox = 1.5;
 
 /// How much of the object a pixel covers, world units; median of the views.
@@ -102,7 +103,8 @@ bool may_matter(const View& v, float i, float j, float k, float radius_vox, floa
     const float z = f.depth_from_index[0] * i + f.depth_from_index[1] * j + f.depth_from_index[2] * k + f.depth_from_index[3];
     if (!f.lens.orthographic && z < 2 * radius_vox) return true;
     const float u = (m[0] * i + m[1] * j + m[2] * k + m[3]) / w, y = (m[4] * i + m[5] * j + m[6] * k + m[7]) / w;
-    const float scale = std::max(f.lens.fx, f.lens.fy) + std::fabs(f.lens.skew), off_axis = (std::fabs(u - f.lens.cx) + std::fabs(y - f.lens.cy)) / std::min(f.lens.fx, f.lens.fy);
+    const float scale = std::max(f.lens.fx, f.lens.fy) + std::fabs(f.lens.skew),
+                off_axis = (std::fabs(u - f.lens.cx) + std::fabs(y - f.lens.cy)) / std::min(f.lens.fx, f.lens.fy);
     const float reach = f.lens.orthographic ? radius_vox * scale / f.per_voxel : radius_vox * scale * (1 + off_axis) / (z - radius_vox);
     const int x0 = std::max(0, static_cast<int>((u - reach) / kCell_px)), x1 = std::min(v.cells_per_row - 1, static_cast<int>((u + reach) / kCell_px));
     const int y0 = std::max(0, static_cast<int>((y - reach) / kCell_px)), y1 = std::min(v.rows - 1, static_cast<int>((y + reach) / kCell_px));
@@ -136,7 +138,9 @@ FusionPlan plan_fusion(const openvdb::FloatGrid& surface, const std::vector<Ster
     out.base = openvdb::Coord(frame.base.i, frame.base.j, frame.base.k);
     for (size_t l = 0; l < levels.size(); ++l)
         for (size_t v = 0; v < levels[l].sources.size(); ++v)
-            if (!levels[l].sources[v].pairs.empty()) out.views.push_back({l, v, fusion_view(levels[l].sources[v], frame, static_cast<float>(std::pow(options.coarser_weight, static_cast<double>(l))))});
+            if (!levels[l].sources[v].pairs.empty())
+                out.views.push_back(
+                    {l, v, fusion_view(levels[l].sources[v], frame, static_cast<float>(std::pow(options.coarser_weight, static_cast<double>(l))))});
     const openvdb::CoordBBox box = leaf_box(surface);
     const openvdb::Vec3d middle = surface.indexToWorld(0.5 * (box.min().asVec3d() + box.max().asVec3d()));
     const double pixel_vox = pixel_on_object(levels.front().sources, Vec3d(middle[0], middle[1], middle[2])) / frame.voxel_size;
@@ -152,7 +156,8 @@ FusionPlan plan_fusion(const openvdb::FloatGrid& surface, const std::vector<Ster
 
 FusedBlocks fuse_depths(const openvdb::FloatGrid& surface, const FusionPlan& plan, const std::vector<StereoLevel>& levels, Progress& progress) {
     std::vector<View> views(plan.views.size());
-    tbb::parallel_for(size_t{0}, views.size(), [&](size_t n) { views[n] = with_map(plan.views[n].fusion, levels[plan.views[n].level].maps[plan.views[n].view]); });
+    tbb::parallel_for(size_t{0}, views.size(),
+                      [&](size_t n) { views[n] = with_map(plan.views[n].fusion, levels[plan.views[n].level].maps[plan.views[n].view]); });
     const kernel::FusionRule& rule = plan.rule;
     struct Block {
         std::vector<float> values, confidence;  ///< empty: as it was, and nothing is known
@@ -163,7 +168,8 @@ FusedBlocks fuse_depths(const openvdb::FloatGrid& surface, const FusionPlan& pla
         std::vector<const kernel::FusionView*> asked;
         for (size_t b = range.begin(); b < range.end(); ++b) {
             const openvdb::Coord& first = plan.blocks[b];
-            const auto i0 = static_cast<float>(first[0] - plan.base[0]), j0 = static_cast<float>(first[1] - plan.base[1]), k0 = static_cast<float>(first[2] - plan.base[2]);
+            const auto i0 = static_cast<float>(first[0] - plan.base[0]), j0 = static_cast<float>(first[1] - plan.base[1]),
+                       k0 = static_cast<float>(first[2] - plan.base[2]);
             asked.clear();
             for (const View& v : views)
                 if (may_matter(v, i0 + 3.5f, j0 + 3.5f, k0 + 3.5f, 6.1f, rule.reach)) asked.push_back(&v.fusion);
@@ -177,7 +183,9 @@ FusedBlocks fuse_depths(const openvdb::FloatGrid& surface, const FusionPlan& pla
                 kernel::FusedVoxel voxel{before, 0.f};
                 if (before < rule.band) {
                     kernel::Fused fused;
-                    for (const kernel::FusionView* v : asked) kernel::fuse_view(*v, i0 + static_cast<float>(at >> 6), j0 + static_cast<float>(at >> 3 & 7), k0 + static_cast<float>(at & 7), rule.reach, rule.truncation, fused);
+                    for (const kernel::FusionView* v : asked)
+                        kernel::fuse_view(*v, i0 + static_cast<float>(at >> 6), j0 + static_cast<float>(at >> 3 & 7), k0 + static_cast<float>(at & 7),
+                                          rule.reach, rule.truncation, fused);
                     voxel = kernel::carved_voxel(rule, fused, before);
                 }
                 values[static_cast<size_t>(at)] = voxel.value;
@@ -201,7 +209,8 @@ FusedBlocks fuse_depths(const openvdb::FloatGrid& surface, const FusionPlan& pla
     return out;
 }
 
-void finish_stereo(StereoResult& out, const openvdb::FloatGrid& surface, const FusionPlan& plan, const FusedBlocks& blocks, const StereoOptions& options, const Redistance& redistance) {
+void finish_stereo(StereoResult& out, const openvdb::FloatGrid& surface, const FusionPlan& plan, const FusedBlocks& blocks, const StereoOptions& options,
+                   const Redistance& redistance) {
     auto lap = [&, last = std::chrono::steady_clock::now()](const char* what) mutable {
         const auto now = std::chrono::steady_clock::now();
         add_milliseconds(out, what, std::chrono::duration<double, std::milli>(now - last).count());
@@ -227,7 +236,8 @@ void finish_stereo(StereoResult& out, const openvdb::FloatGrid& surface, const F
         }
         const Leaf* hull = surface.tree().probeConstLeaf(first);
         const float tile = hull ? 0.f : surface.tree().getValue(first);
-        made[n].carved = hull ? !std::equal(values, values + kLeafVoxels, hull->buffer().data()) : std::any_of(values, values + kLeafVoxels, [&](float v) { return v != tile; });
+        made[n].carved = hull ? !std::equal(values, values + kLeafVoxels, hull->buffer().data())
+                              : std::any_of(values, values + kLeafVoxels, [&](float v) { return v != tile; });
     });
     openvdb::tree::ValueAccessor<openvdb::FloatTree> into(field->tree());
     bool carved = false;

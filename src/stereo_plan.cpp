@@ -16,15 +16,19 @@ namespace vdbcarve {
 void check_stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const StereoOptions& o) {
     if (surface.getGridClass() != openvdb::GRID_LEVEL_SET) throw InputError("stereo: grid '" + surface.getName() + "' is no level set");
     if (surface.tree().leafCount() == 0) throw InputError("stereo: the volume has no surface");
-    if (o.pairs < 2 || o.pairs > kernel::kMostStereoPairs) throw UsageError("stereo: a view is compared with " + std::to_string(o.pairs) + " others, must be 2.." + std::to_string(kernel::kMostStereoPairs));
-    if (!(o.least_angle_deg > 0) || !(o.most_angle_deg > o.least_angle_deg) || o.most_angle_deg > 90) throw UsageError("stereo: the angles between views are not 0 < least < most <= 90 degrees");
+    if (o.pairs < 2 || o.pairs > kernel::kMostStereoPairs)
+        throw UsageError("stereo: a view is compared with " + std::to_string(o.pairs) + " others, must be 2.." + std::to_string(kernel::kMostStereoPairs));
+    if (!(o.least_angle_deg > 0) || !(o.most_angle_deg > o.least_angle_deg) || o.most_angle_deg > 90)
+        throw UsageError("stereo: the angles between views are not 0 < least < most <= 90 degrees");
     if (o.scale < 0 || o.scale > 16) throw UsageError("stereo: the scale is " + std::to_string(o.scale) + ", must be 0 (by itself) or 1..16");
     if (o.passes < 1 || o.passes > 30) throw UsageError("stereo: passes are " + std::to_string(o.passes) + ", must be 1..30");
     if (o.levels < 1 || o.levels > 4) throw UsageError("stereo: levels are " + std::to_string(o.levels) + ", must be 1..4");
     if (!(o.depth_share > 0 && o.depth_share <= 1)) throw UsageError("stereo: the depth is not within 0..1 of the object's size");
     const StereoTrust& t = o.trust;
     const auto within = [](double value, double least, double most, const char* what) {
-        if (!(value >= least && value <= most)) throw UsageError(std::string("stereo: ") + what + " is " + std::to_string(value) + ", must be " + std::to_string(least) + ".." + std::to_string(most));
+        if (!(value >= least && value <= most))
+            throw UsageError(std::string("stereo: ") + what + " is " + std::to_string(value) + ", must be " + std::to_string(least) + ".." +
+                             std::to_string(most));
     };
     within(t.most_cost, 0, 2, "the most that a match may cost");
     within(t.least_contrast, 0, 1, "the least contrast");
@@ -40,7 +44,8 @@ void check_stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInpu
     within(o.least_piece, 0, 1, "the smallest piece (of its hull's)");
     for (const ColorInput& input : inputs) {
         const Intrinsics& k = input.camera.intrinsics;
-        if (input.use && (input.mask.coverage.width != k.width_px || input.mask.coverage.height != k.height_px)) throw InputError("stereo: view " + input.name + ": the mask has not the camera's size");
+        if (input.use && (input.mask.coverage.width != k.width_px || input.mask.coverage.height != k.height_px))
+            throw InputError("stereo: view " + input.name + ": the mask has not the camera's size");
     }
 }
 
@@ -58,7 +63,9 @@ double longest_side(const openvdb::FloatGrid& surface) {
 }
 
 kernel::StereoTrustRule trust_rule(const StereoTrust& t) {
-    return {static_cast<float>(t.most_cost), static_cast<float>(t.least_contrast * t.least_contrast), static_cast<float>(t.least_margin), t.agreeing, static_cast<float>(t.agreement_px), static_cast<float>(std::cos(t.normal_deg * std::numbers::pi / 180))};
+    return {static_cast<float>(t.most_cost),    static_cast<float>(t.least_contrast * t.least_contrast),
+            static_cast<float>(t.least_margin), t.agreeing,
+            static_cast<float>(t.agreement_px), static_cast<float>(std::cos(t.normal_deg * std::numbers::pi / 180))};
 }
 
 namespace {
@@ -73,7 +80,9 @@ std::vector<float> grey_of_photo(const PhotoView& photo, int scale, int width, i
                 float sum = 0;
                 for (int j = y * scale; j < (y + 1) * scale; ++j)
                     for (int i = x * scale; i < (x + 1) * scale; ++i)
-                        sum += channels >= 3 ? 0.299f * static_cast<float>(pixels.at(i, j, 0)) + 0.587f * static_cast<float>(pixels.at(i, j, 1)) + 0.114f * static_cast<float>(pixels.at(i, j, 2)) : static_cast<float>(pixels.at(i, j, 0));
+                        sum += channels >= 3 ? 0.299f * static_cast<float>(pixels.at(i, j, 0)) + 0.587f * static_cast<float>(pixels.at(i, j, 1)) +
+                                                   0.114f * static_cast<float>(pixels.at(i, j, 2))
+                                             : static_cast<float>(pixels.at(i, j, 0));
                 out[static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x)] = sum * unit / static_cast<float>(scale * scale);
             }
         });
@@ -134,18 +143,22 @@ kernel::StereoPair stereo_pair(const Camera& from, const Camera& to, int view) {
 namespace {
 
 /// All views at one size, with the others that each is compared with.
-std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, const std::vector<PhotoView>& photos, const std::vector<size_t>& used, const std::vector<MaskView>& present, const std::vector<DistanceField>& fields, int scale, const Vec3d& object, const StereoOptions& o) {
+std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, const std::vector<PhotoView>& photos, const std::vector<size_t>& used,
+                                     const std::vector<MaskView>& present, const std::vector<DistanceField>& fields, int scale, const Vec3d& object,
+                                     const StereoOptions& o) {
     std::vector<StereoSource> out(inputs.size());
     for (const size_t v : used) {
         StereoSource& s = out[v];
         s.camera = at_scale(inputs[v].camera, scale);
         const Intrinsics& k = s.camera.intrinsics;
-        s.lens = {static_cast<float>(k.fx), static_cast<float>(k.fy), static_cast<float>(k.skew), static_cast<float>(k.cx), static_cast<float>(k.cy), k.orthographic};
+        s.lens = {static_cast<float>(k.fx), static_cast<float>(k.fy), static_cast<float>(k.skew),
+                  static_cast<float>(k.cx), static_cast<float>(k.cy), k.orthographic};
         s.width = k.width_px;
         s.height = k.height_px;
         s.grey = grey_of_photo(photos[v], scale, s.width, s.height);
     }
-    const auto rim_px = static_cast<float>(std::min(o.trust.rim_px * scale, 0.9 * kernel::kMarginReach_px)), mixed_px = static_cast<float>(std::min(1.0 * scale, 0.9 * kernel::kMarginReach_px));
+    const auto rim_px = static_cast<float>(std::min(o.trust.rim_px * scale, 0.9 * kernel::kMarginReach_px)),
+               mixed_px = static_cast<float>(std::min(1.0 * scale, 0.9 * kernel::kMarginReach_px));
     tbb::parallel_for(size_t{0}, used.size(), [&](size_t u) {
         StereoSource& s = out[used[u]];
         const ImageView<uint8_t>& mask = present[u].coverage;
@@ -160,7 +173,9 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
             }
     });
     // The nearest views that have parallax enough: surfaces look the most alike in them.
-    const auto towards = [&](const Camera& c) { return c.intrinsics.orthographic ? Vec3d(-c.forward_world()) : Vec3d((c.centre_world() - object).normalized()); };
+    const auto towards = [&](const Camera& c) {
+        return c.intrinsics.orthographic ? Vec3d(-c.forward_world()) : Vec3d((c.centre_world() - object).normalized());
+    };
     for (const size_t v : used) {
         std::vector<std::pair<double, size_t>> at_angle;
         for (const size_t w : used) {
@@ -177,7 +192,8 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
 
 }  // namespace
 
-std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& o) {
+std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale,
+                                       const StereoOptions& o) {
     const size_t n = inputs.size();
     std::vector<Photo> loaded;
     if (photos) loaded = photos(0, n);
@@ -199,10 +215,12 @@ std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const 
     std::vector<StereoLevel> out;
     constexpr int kLeastSide_px = 24;  ///< nearly three windows
     for (int level = 0; level < o.levels; ++level) {
-        const auto small = std::find_if(used.begin(), used.end(), [&](size_t v) { return std::min(pictures[v].width(), pictures[v].height()) / (scale << level) < kLeastSide_px; });
+        const auto small = std::find_if(used.begin(), used.end(),
+                                        [&](size_t v) { return std::min(pictures[v].width(), pictures[v].height()) / (scale << level) < kLeastSide_px; });
         if (small != used.end() && level == 0)
-            throw InputError("stereo: view " + inputs[*small].name + ": at 1/" + std::to_string(scale) + " of its size the photograph has " + std::to_string(pictures[*small].width() / scale) + " x " + std::to_string(pictures[*small].height() / scale) + " pixels, too few to compare. Remedy: " +
-                             (scale > 1 ? "a smaller --stereo-scale" : "larger photographs"));
+            throw InputError("stereo: view " + inputs[*small].name + ": at 1/" + std::to_string(scale) + " of its size the photograph has " +
+                             std::to_string(pictures[*small].width() / scale) + " x " + std::to_string(pictures[*small].height() / scale) +
+                             " pixels, too few to compare. Remedy: " + (scale > 1 ? "a smaller --stereo-scale" : "larger photographs"));
         if (small != used.end()) break;
         out.push_back({scale << level, {}, {}});
         out.back().sources = sources_of(inputs, pictures, used, present, fields, out.back().scale, Vec3d(middle[0], middle[1], middle[2]), o);

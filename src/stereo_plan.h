@@ -15,11 +15,11 @@ void check_stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInpu
 
 /// A view at the working size: everything but what the hull says.
 struct StereoSource {
-    Camera camera;                 ///< of the working size
+    Camera camera;  ///< of the working size
     kernel::StereoLens lens{};
-    int width = 0, height = 0;     ///< 0: the view is not used
+    int width = 0, height = 0;  ///< 0: the view is not used
     std::vector<float> grey;
-    std::vector<uint8_t> object;   ///< 1: of the object; 2: and not near its rim
+    std::vector<uint8_t> object;  ///< 1: of the object; 2: and not near its rim
     std::vector<kernel::StereoPair> pairs;
 };
 
@@ -36,8 +36,10 @@ struct StereoLevel {
     std::vector<StereoDepthMap> maps;  ///< empty where the device keeps them
 };
 
-/// All levels, without maps; fewer than asked for where pictures would get too small to compare windows in. Photographs are asked for all at once. Throws InputError where the finest is.
-std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale, const StereoOptions& options);
+/// All levels, without maps; fewer than asked for where pictures would get too small to compare windows in. Photographs are asked for all at once. Throws
+/// InputError where the finest is.
+std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale,
+                                       const StereoOptions& options);
 
 /// Views that are matched, over all levels.
 size_t steps_of(const std::vector<StereoLevel>& levels);
@@ -77,9 +79,9 @@ struct FusionPlan {
         kernel::FusionView fusion;  ///< without planes and confidence
     };
     kernel::FusionRule rule;
-    std::vector<View> views;               ///< finest level first
-    std::vector<openvdb::Coord> blocks;    ///< first voxels of all blocks of 8^3 that hold some of the inside
-    openvdb::Coord base;                   ///< the voxel that FusionView counts from
+    std::vector<View> views;             ///< finest level first
+    std::vector<openvdb::Coord> blocks;  ///< first voxels of all blocks of 8^3 that hold some of the inside
+    openvdb::Coord base;                 ///< the voxel that FusionView counts from
 };
 FusionPlan plan_fusion(const openvdb::FloatGrid& surface, const std::vector<StereoLevel>& levels, const StereoOptions& options);
 
@@ -93,6 +95,7 @@ FusedBlocks fuse_depths(const openvdb::FloatGrid& surface, const FusionPlan& pla
 using Redistance = std::function<openvdb::FloatGrid::Ptr(openvdb::FloatGrid::Ptr field, int half_width_vox)>;
 
 /// Puts the blocks into the hull, drops what hangs loose, re-distances and measures: the result but for its maps.
-void finish_stereo(StereoResult& result, const openvdb::FloatGrid& surface, const FusionPlan& plan, const FusedBlocks& blocks, const StereoOptions& options, const Redistance& redistance);
+void finish_stereo(StereoResult& result, const openvdb::FloatGrid& surface, const FusionPlan& plan, const FusedBlocks& blocks, const StereoOptions& options,
+                   const Redistance& redistance);
 
 }  // namespace vdbcarve

@@ -26,7 +26,8 @@ openvdb::Vec3SGrid::Ptr what_was_carved(const openvdb::FloatGrid& hull, const op
     out->topologyUnion(surface);
     const auto half = static_cast<float>(0.5 * surface.voxelSize()[0]);
     const openvdb::FloatGrid::ConstAccessor before = hull.getConstAccessor(), after = surface.getConstAccessor();
-    for (auto voxel = out->beginValueOn(); voxel; ++voxel) voxel.setValue(after.getValue(voxel.getCoord()) - before.getValue(voxel.getCoord()) > half ? carved : stands);
+    for (auto voxel = out->beginValueOn(); voxel; ++voxel)
+        voxel.setValue(after.getValue(voxel.getCoord()) - before.getValue(voxel.getCoord()) > half ? carved : stands);
     return out;
 }
 
@@ -46,7 +47,8 @@ Image8 shown_map(const ImageF& map, int width, int height, const Color& color) {
     Image8 out(width, height, 3, 255);
     for (int y = 0; y < height; ++y)
         for (int x = 0; x < width; ++x) {
-            const float v = map.at(std::min(map.width - 1, (2 * x + 1) * map.width / (2 * width)), std::min(map.height - 1, (2 * y + 1) * map.height / (2 * height)));
+            const float v =
+                map.at(std::min(map.width - 1, (2 * x + 1) * map.width / (2 * width)), std::min(map.height - 1, (2 * y + 1) * map.height / (2 * height)));
             if (!(v > 0.f)) continue;
             const std::array<uint8_t, 3> rgb = color(v);
             for (int c = 0; c < 3; ++c) out.at(x, y, c) = rgb[static_cast<size_t>(c)];
@@ -70,8 +72,10 @@ Image8 stereo_sheet(const openvdb::FloatGrid& hull, const openvdb::FloatGrid& su
         std::vector<double> depths;
         for (const float d : t.map->depth.data)
             if (d > 0.f) depths.push_back(d);
-        const double near = depths.empty() ? 0 : percentile(depths, 0.02), far = depths.empty() ? 1 : percentile(depths, 0.98), reach = std::max(far - near, 1e-12);
-        rows.push_back({t.photo.empty() ? Image8(width, height, 3) : io::downscale(t.photo.view(), width, height), shown_map(t.map->depth, width, height, [&](float d) { return depth_color((static_cast<double>(d) - near) / reach); }),
+        const double near = depths.empty() ? 0 : percentile(depths, 0.02), far = depths.empty() ? 1 : percentile(depths, 0.98),
+                     reach = std::max(far - near, 1e-12);
+        rows.push_back({t.photo.empty() ? Image8(width, height, 3) : io::downscale(t.photo.view(), width, height),
+                        shown_map(t.map->depth, width, height, [&](float d) { return depth_color((static_cast<double>(d) - near) / reach); }),
                         shown_map(t.map->confidence, width, height,
                                   [](float c) {
                                       const auto grey = static_cast<uint8_t>(std::lround(210 * (1 - std::clamp(c, 0.f, 1.f))));
@@ -101,7 +105,8 @@ void write_depth_maps(const std::filesystem::path& folder, const std::vector<std
         const std::vector<uint8_t> tiff = io::encode_tiff(m.depth);
         write_file(folder / (names[v] + ".depth.tiff"), tiff.data(), tiff.size());
         Image8 confidence(m.confidence.width, m.confidence.height);
-        for (size_t p = 0; p < confidence.data.size(); ++p) confidence.data[p] = static_cast<uint8_t>(std::lround(255 * std::clamp(m.confidence.data[p], 0.f, 1.f)));
+        for (size_t p = 0; p < confidence.data.size(); ++p)
+            confidence.data[p] = static_cast<uint8_t>(std::lround(255 * std::clamp(m.confidence.data[p], 0.f, 1.f)));
         const std::vector<uint8_t> png = io::encode_png(confidence.view());
         write_file(folder / (names[v] + ".confidence.png"), png.data(), png.size());
     });

@@ -18,10 +18,12 @@ struct StereoTile {
     const DepthMap* map;
 };
 
-/// A row for each view: the photograph; its trusted depths, near ones light; how sure they are; the surface, orange where depths carved it and grey where the hull stands.
+/// A row for each view: the photograph; its trusted depths, near ones light; how sure they are; the surface, orange where depths carved it and grey where the
+/// hull stands.
 Image8 stereo_sheet(const openvdb::FloatGrid& hull, const openvdb::FloatGrid& surface, const std::vector<StereoTile>& tiles);
 
-/// NAME.depth.tiff (32-bit float, along the camera's z, world units; 0: none) and NAME.confidence.png (0..255) of every view that has some, into a folder that is there.
+/// NAME.depth.tiff (32-bit float, along the camera's z, world units; 0: none) and NAME.confidence.png (0..255) of every view that has some, into a folder that
+/// is there.
 void write_depth_maps(const std::filesystem::path& folder, const std::vector<std::string>& names, const std::vector<DepthMap>& maps);
 
 }  // namespace vdbcarve

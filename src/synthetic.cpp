@@ -32,9 +32,7 @@ double box_value(const Vec3d& p, const Vec3d& half) {
 /// std::hypot guards against overflow at ten times the cost.
 double length(double x, double y) { return std::sqrt(x * x + y * y); }
 
-double torus_value(const Vec3d& p, double ring, double tube) {
-    return length(length(p.x(), p.y()) - ring, p.z()) - tube;
-}
+double torus_value(const Vec3d& p, double ring, double tube) { return length(length(p.x(), p.y()) - ring, p.z()) - tube; }
 
 double cylinder_value(const Vec3d& p, double radius, double z_low, double z_high) {
     const double across = length(p.x(), p.y()) - radius, along = std::max(z_low - p.z(), p.z() - z_high);
@@ -58,28 +56,36 @@ double bowl_value(const Vec3d& p, double radius, double half_height, double dept
 
 }  // namespace
 
-double Solid::value(const Vec3d& point_world) const {
-    return value_here(world_from_solid.inverse() * point_world);
-}
+double Solid::value(const Vec3d& point_world) const { return value_here(world_from_solid.inverse() * point_world); }
 
 double Solid::value_here(const Vec3d& p) const {
     switch (kind) {
-        case Kind::Ellipsoid: return (p.cwiseQuotient(size).norm() - 1) * size.minCoeff();
-        case Kind::Box: return box_value(p, size);
-        case Kind::Torus: return torus_value(p, size[0], size[1]);
-        case Kind::Cup: return cup_value(p, size[0], size[1], size[2]);
-        case Kind::Bowl: return bowl_value(p, size[0], size[1], size[2]);
+        case Kind::Ellipsoid:
+            return (p.cwiseQuotient(size).norm() - 1) * size.minCoeff();
+        case Kind::Box:
+            return box_value(p, size);
+        case Kind::Torus:
+            return torus_value(p, size[0], size[1]);
+        case Kind::Cup:
+            return cup_value(p, size[0], size[1], size[2]);
+        case Kind::Bowl:
+            return bowl_value(p, size[0], size[1], size[2]);
     }
     return 0;
 }
 
 double Solid::reach() const {
     switch (kind) {
-        case Kind::Ellipsoid: return size.maxCoeff();
-        case Kind::Box: return size.norm();
-        case Kind::Torus: return size[0] + size[1];
-        case Kind::Cup: return std::hypot(size[0], size[1]) + 0.6 * size[1] + 0.8 * size[2];
-        case Kind::Bowl: return std::hypot(size[0], size[1]);
+        case Kind::Ellipsoid:
+            return size.maxCoeff();
+        case Kind::Box:
+            return size.norm();
+        case Kind::Torus:
+            return size[0] + size[1];
+        case Kind::Cup:
+            return std::hypot(size[0], size[1]) + 0.6 * size[1] + 0.8 * size[2];
+        case Kind::Bowl:
+            return std::hypot(size[0], size[1]);
     }
     return 0;
 }
@@ -164,7 +170,9 @@ std::vector<Direction> directions(const Rig& rig) {
         }
     };
     switch (rig.kind) {
-        case Rig::Kind::Orbit: ring(rig.views, rig.elevation_deg, 0, rig.arc_deg); break;
+        case Rig::Kind::Orbit:
+            ring(rig.views, rig.elevation_deg, 0, rig.arc_deg);
+            break;
         case Rig::Kind::Rings:
             for (size_t r = 0; r < rig.rings.size(); ++r) ring(rig.rings[r].views, rig.rings[r].elevation_deg, r % 2 ? 0.5 : 0, rig.arc_deg);
             break;
@@ -177,7 +185,8 @@ std::vector<Direction> directions(const Rig& rig) {
 }
 
 double hash_noise(int64_t x, int64_t y, int64_t z) {
-    uint64_t h = static_cast<uint64_t>(x) * 0x9E3779B97F4A7C15ull ^ static_cast<uint64_t>(y) * 0xC2B2AE3D27D4EB4Full ^ static_cast<uint64_t>(z) * 0x165667B19E3779F9ull;
+    uint64_t h =
+        static_cast<uint64_t>(x) * 0x9E3779B97F4A7C15ull ^ static_cast<uint64_t>(y) * 0xC2B2AE3D27D4EB4Full ^ static_cast<uint64_t>(z) * 0x165667B19E3779F9ull;
     h ^= h >> 29;
     h *= 0xBF58476D1CE4E5B9ull;
     h ^= h >> 32;
@@ -495,13 +504,15 @@ struct Lamps {
 };
 
 /// Without `surface` a clean plate: the object and its shadow are not there.
-Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface* surface, const PhotoLook& look, const Room& place, const Lamps& lamps) {
+Image8 photograph(const Object& object, const Camera& camera, const Image8& coverage, const Object::Surface* surface, const PhotoLook& look, const Room& place,
+                  const Lamps& lamps) {
     const Intrinsics& k = camera.intrinsics;
     Image8 out(k.width_px, k.height_px, 3);
     const Vec3d key = place.key();
     const double foot = look.table ? object.lowest(place.up_scene) : 0;
     const auto shade = [&](const SurfacePoint& p, const Vec3d& to_eye) {
-        const double highlight = look.gloss > 0 && p.normal.dot(key) > 0 ? look.gloss * std::pow(std::max(0.0, p.normal.dot((key + to_eye).normalized())), 60) : 0;
+        const double highlight =
+            look.gloss > 0 && p.normal.dot(key) > 0 ? look.gloss * std::pow(std::max(0.0, p.normal.dot((key + to_eye).normalized())), 60) : 0;
         const Vec3d spilt = look.backdrop ? Vec3d(look.spill * std::pow(1 - std::max(0.0, p.normal.dot(to_eye)), 2) * *look.backdrop) : Vec3d::Zero();
         return Vec3d(place.diffuse(p.normal, look) * object.albedo_at(p) + Vec3d::Constant(highlight) + spilt);
     };
@@ -518,7 +529,9 @@ Image8 photograph(const Object& object, const Camera& camera, const Image8& cove
                 if (surface && object.hit({lifted, key})) wood *= 0.35;
                 if (surface && look.table_reflection > 0)
                     if (const auto t = object.hit({lifted, (ray.direction - 2 * down * place.up_scene).normalized()}))
-                        wood = (1 - look.table_reflection) * wood + look.table_reflection * 0.7 * albedo((lifted + *t * (ray.direction - 2 * down * place.up_scene) - object.centre()) / object.radius(), object.pattern());
+                        wood = (1 - look.table_reflection) * wood +
+                               look.table_reflection * 0.7 *
+                                   albedo((lifted + *t * (ray.direction - 2 * down * place.up_scene) - object.centre()) / object.radius(), object.pattern());
                 return wood;
             }
         }
@@ -561,7 +574,8 @@ std::vector<TrueColor> colors_at(const SyntheticSpec& spec, const Object& object
         const SurfacePoint p = object.nearest(points[n], out[n].distance);
         double light = 0, weight = 0;
         for (const Direction& d : where) {
-            const Vec3d eye(std::cos(d.elevation_rad) * std::cos(d.azimuth_rad), std::cos(d.elevation_rad) * std::sin(d.azimuth_rad), std::sin(d.elevation_rad));
+            const Vec3d eye(std::cos(d.elevation_rad) * std::cos(d.azimuth_rad), std::cos(d.elevation_rad) * std::sin(d.azimuth_rad),
+                            std::sin(d.elevation_rad));
             const double w = moving_light ? std::pow(std::max(0.0, p.normal.dot(eye)), 4) : 1.0;
             light += w * room_of(spec.rig, d.azimuth_rad, Mat3d::Identity()).diffuse(p.normal, spec.look);
             weight += w;
@@ -622,7 +636,8 @@ void damage(Image8& mask, const MaskDamage& d, bool holes_here, uint64_t seed) {
 
 void add_sensor_noise(Image8& photo, double sigma, uint64_t seed) {
     for (size_t i = 0; i < photo.data.size(); ++i)
-        photo.data[i] = static_cast<uint8_t>(std::clamp(std::lround(photo.data[i] + sigma * wobble(static_cast<int>(i % 65521), static_cast<int>(i / 65521), 0, seed)), 0L, 255L));
+        photo.data[i] = static_cast<uint8_t>(
+            std::clamp(std::lround(photo.data[i] + sigma * wobble(static_cast<int>(i % 65521), static_cast<int>(i / 65521), 0, seed)), 0L, 255L));
 }
 
 std::string frame_name(size_t i, const char* extension) {
@@ -670,7 +685,8 @@ SyntheticSpec builtin_spec(const std::string& name) {
         add(Solid::Kind::Box, {0.1, 0.45, 0.4}, {-0.25, 0, 0}, {0, 0, 10});
         spec.solids.back().color = Vec3d(0.05, 0.25, 0.55);
     } else {
-        throw UsageError("synth: no built-in object '" + name + "' (cup, bowl, ellipsoids, boxes, torus, pair), and no such spec (.json) or mesh (.ply, .obj, .stl)");
+        throw UsageError("synth: no built-in object '" + name +
+                         "' (cup, bowl, ellipsoids, boxes, torus, pair), and no such spec (.json) or mesh (.ply, .obj, .stl)");
     }
     return spec;
 }
@@ -715,8 +731,10 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     need(std::abs(rig.crop_drift_px) <= 1000, "the crop drifts by at most 1000 px");
     need(spec.look.jpeg_quality >= 0 && spec.look.jpeg_quality <= 100, "the JPEG quality must be 1..100 (0: PNG)");
     const MaskDamage& d = spec.damage;
-    need(d.noise_px >= 0 && d.noise_px <= 50 && std::abs(d.dilate_px) <= 50 && d.correlation_px >= 0, "masks' noise and dilation are 0..50 px, its correlation is >= 0");
-    need(d.holes >= 0 && d.blobs >= 0 && d.radius_px >= 1 && d.radius_px <= 500 && d.share >= 0 && d.share <= 1, "masks' holes and blobs are >= 0, of radius 1..500 px, in a share 0..1 of the views");
+    need(d.noise_px >= 0 && d.noise_px <= 50 && std::abs(d.dilate_px) <= 50 && d.correlation_px >= 0,
+         "masks' noise and dilation are 0..50 px, its correlation is >= 0");
+    need(d.holes >= 0 && d.blobs >= 0 && d.radius_px >= 1 && d.radius_px <= 500 && d.share >= 0 && d.share <= 1,
+         "masks' holes and blobs are >= 0, of radius 1..500 px, in a share 0..1 of the views");
     need(spec.look.exposure_jitter >= 0 && spec.look.exposure_jitter < 1, "the exposure's jitter is 0..1");
     need(spec.texture.empty() || !spec.mesh.texcoords.empty(), "a texture needs a mesh with texture coordinates (.obj)");
     need(spec.look.blur_px >= 0 && spec.look.blur_px <= 50 && spec.look.noise >= 0 && spec.look.gloss >= 0, "blur is 0..50 px, noise and gloss are >= 0");
@@ -751,7 +769,8 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
     std::vector<double> azimuths;
     for (size_t i = 0; i < where.size(); ++i) {
         const auto place = [&](double azimuth, double elevation) {
-            return Vec3d(object.centre() + distance * Vec3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)));
+            return Vec3d(object.centre() +
+                         distance * Vec3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)));
         };
         View view;
         view.name = "images/" + frame_name(i, spec.photos && spec.look.jpeg_quality > 0 ? ".jpg" : ".png");
@@ -761,7 +780,8 @@ SyntheticScene synthesize(const SyntheticSpec& spec, Progress& progress) {
         view.camera = look_at(place(where[i].azimuth_rad, where[i].elevation_rad), object.centre(), 0, k);
         scene.nominal.views.push_back(view);
         const Hand& hand = hands[i];
-        const double azimuth = where[i].azimuth_rad + rad(rig.shake_angle_deg) * hand[0], elevation = where[i].elevation_rad + rad(rig.shake_elevation_deg) * hand[1];
+        const double azimuth = where[i].azimuth_rad + rad(rig.shake_angle_deg) * hand[0],
+                     elevation = where[i].elevation_rad + rad(rig.shake_elevation_deg) * hand[1];
         Vec3d moved, aim;
         for (size_t a = 0; a < 3; ++a) {
             moved[static_cast<int>(a)] = rig.shake_position * distance * hand[2 + 2 * a];

@@ -16,13 +16,15 @@ namespace vdbcarve {
 void TarGz::add(const std::string& name_in_root, std::string_view content) {
     const std::string name = root_ + "/" + name_in_root;
     struct Header {
-        char name[100], mode[8], uid[8], gid[8], size[12], mtime[12], checksum[8], type, link[100], magic[6], version[2], user[32], group[32], major[8], minor[8], prefix[155], rest[12];
+        char name[100], mode[8], uid[8], gid[8], size[12], mtime[12], checksum[8], type, link[100], magic[6], version[2], user[32], group[32], major[8],
+            minor[8], prefix[155], rest[12];
     } h{};
     static_assert(sizeof h == 512);
     // A long name's folders go into a field of their own.
     const size_t cut = name.size() <= sizeof h.name ? std::string::npos : name.rfind('/');
     const std::string folders = cut == std::string::npos ? "" : name.substr(0, cut), last = cut == std::string::npos ? name : name.substr(cut + 1);
-    if (last.size() > sizeof h.name || folders.size() > sizeof h.prefix) throw OutputError(name + ": too long a name for an archive. Remedy: a shorter one for the photograph, also in its camera file");
+    if (last.size() > sizeof h.name || folders.size() > sizeof h.prefix)
+        throw OutputError(name + ": too long a name for an archive. Remedy: a shorter one for the photograph, also in its camera file");
     if (content.size() >= size_t{1} << 33) throw OutputError(name + ": too large for an archive");
     std::memcpy(h.name, last.data(), last.size());
     std::memcpy(h.prefix, folders.data(), folders.size());
@@ -48,7 +50,8 @@ void TarGz::add(const std::string& name_in_root, std::string_view content) {
 size_t TarGz::write(const std::filesystem::path& file) const {
     const std::string whole = tar_ + std::string(1024, '\0');
     z_stream z{};
-    if (deflateInit2(&z, Z_BEST_COMPRESSION, Z_DEFLATED, 15 + 16, 8, Z_DEFAULT_STRATEGY) != Z_OK) throw OutputError(file.string() + ": zlib could not be set up");
+    if (deflateInit2(&z, Z_BEST_COMPRESSION, Z_DEFLATED, 15 + 16, 8, Z_DEFAULT_STRATEGY) != Z_OK)
+        throw OutputError(file.string() + ": zlib could not be set up");
     std::string packed(deflateBound(&z, static_cast<uLong>(whole.size())) + 64, '\0');
     // Counts of zlib are 32 bits wide.
     size_t from = 0, to = 0;

@@ -36,11 +36,14 @@ inline std::string text_of(const char* format, ...) {
 
 /// A picture has not its camera's size; and where one is the other made smaller, by how much.
 inline std::string other_size(const std::string& picture, int width, int height, const std::string& view, int camera_width, int camera_height) {
-    std::string out = text_of("%s: is %d x %d pixels, the camera of view %s %d x %d", picture.c_str(), width, height, view.c_str(), camera_width, camera_height);
+    std::string out =
+        text_of("%s: is %d x %d pixels, the camera of view %s %d x %d", picture.c_str(), width, height, view.c_str(), camera_width, camera_height);
     if (width < 1 || height < 1) return out;
     const double x = static_cast<double>(camera_width) / width, y = static_cast<double>(camera_height) / height;
     if (width == camera_height && height == camera_width) return out + ": it is turned. Remedy: pictures as the camera file's program saw them, upright or not";
-    if (x / y > 0.99 && x / y < 1.01) return out + text_of(": it was made %.3g times %s. Remedy: pictures of the size that the cameras were calibrated for, or cameras for these", x > 1 ? x : 1 / x, x > 1 ? "smaller" : "larger");
+    if (x / y > 0.99 && x / y < 1.01)
+        return out + text_of(": it was made %.3g times %s. Remedy: pictures of the size that the cameras were calibrated for, or cameras for these",
+                             x > 1 ? x : 1 / x, x > 1 ? "smaller" : "larger");
     return out + ": it was cropped, or is another camera's. Remedy: pictures as they were when the cameras were calibrated";
 }
 

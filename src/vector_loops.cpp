@@ -55,8 +55,12 @@ bool raise_cell(const CarveView& view, const LeafToCamera& leaf, int cell, float
     gather_pairs(c.silhouette.samples + c.silhouette.width, at, bottom);
     int below = 0;
     for (int n = 0; n < kCellVoxels; ++n) {
-        const Patch patch{static_cast<float>(static_cast<int32_t>(static_cast<uint32_t>(top[n]) << 16) >> 16), static_cast<float>(top[n] >> 16),
-                          static_cast<float>(static_cast<int32_t>(static_cast<uint32_t>(bottom[n]) << 16) >> 16), static_cast<float>(bottom[n] >> 16), a[n], b[n]};
+        const Patch patch{static_cast<float>(static_cast<int32_t>(static_cast<uint32_t>(top[n]) << 16) >> 16),
+                          static_cast<float>(top[n] >> 16),
+                          static_cast<float>(static_cast<int32_t>(static_cast<uint32_t>(bottom[n]) << 16) >> 16),
+                          static_cast<float>(bottom[n] >> 16),
+                          a[n],
+                          b[n]};
         const float v = patch_value(c, patch, mx[n], my[n], z[n], band);
         const float most = max_f(values[n], v);
         values[n] = most;
@@ -90,8 +94,8 @@ CellAnswers raise_leaf(const CarveView& view, const int origin[3], unsigned aliv
 
 // ------------------------------------------------------------------------------------ distance
 
-constexpr int kPad = 4;       // around the window, so that pieces of contour are drawn without asking where the window ends
-constexpr int kRun = 64;      // pixels that are looked at together
+constexpr int kPad = 4;   // around the window, so that pieces of contour are drawn without asking where the window ends
+constexpr int kRun = 64;  // pixels that are looked at together
 
 inline int least(int a, int b) { return b < a ? b : a; }
 
@@ -145,7 +149,7 @@ void window_distance(const WindowDistance& job) {
     // Rows are padded to whole runs on the right and by kPad on all sides.
     const int64_t pitch = (width + kRun - 1) / kRun * kRun + 2 * kPad;
     const int64_t plane = pitch * (height + 2 * kPad);
-    int32_t* const best = job.scratch;      // squared distance
+    int32_t* const best = job.scratch;       // squared distance
     int32_t* const vertical = best + plane;  // along columns, to crossings on vertical edges
     int32_t* const horizontal = vertical + plane;
     int32_t* const row_least = horizontal + plane;  // of both, per run of a row
@@ -289,7 +293,8 @@ void measure_leaf(const float* halo, float band_vox, float* out) {
         for (int n = 0; n < kSlice; ++n) {
             const float here = h[n];
             const float x = opposite(here, h[n - 100], h[n + 100]), y = opposite(here, h[n - 10], h[n + 10]), z = opposite(here, h[n - 1], h[n + 1]);
-            const float d = plane_distance(here, slope(here, h[n - 100], h[n + 100], x), slope(here, h[n - 10], h[n + 10], y), slope(here, h[n - 1], h[n + 1], z));
+            const float d =
+                plane_distance(here, slope(here, h[n - 100], h[n + 100], x), slope(here, h[n - 10], h[n + 10], y), slope(here, h[n - 1], h[n + 1], z));
             slice[n] = max_f(max_f(x, y), z) < 0.f ? band_vox : -min_f(d, band_vox);
         }
         copy_rows(slice, out + i * 64);
@@ -373,11 +378,21 @@ void filter_leaf(const FilterPass& pass, const float* halo, float band_vox, floa
             if (pass.width == 1) rows([](const auto& at) { return median_around<1, Lanes>(at); });
             else rows([](const auto& at) { return median_around<2, Lanes>(at); });
             break;
-        case FilterPass::MeanCurvature: rows([](const auto& at) { return mean_curvature_step<Lanes>(at); }); break;
-        case FilterPass::MeanOfSix: rows([](const auto& at) { return mean_of_six<Lanes>(at); }); break;
-        case FilterPass::Box: lines([&](const auto& line) { return box_along<Lanes>(line, pass.width); }); break;
-        case FilterPass::Least: lines([&](const auto& line) { return least_along<Lanes>(line, pass.width); }); break;
-        case FilterPass::EdgePreserving: edge_preserving_leaf(pass, first, band_vox, out); break;
+        case FilterPass::MeanCurvature:
+            rows([](const auto& at) { return mean_curvature_step<Lanes>(at); });
+            break;
+        case FilterPass::MeanOfSix:
+            rows([](const auto& at) { return mean_of_six<Lanes>(at); });
+            break;
+        case FilterPass::Box:
+            lines([&](const auto& line) { return box_along<Lanes>(line, pass.width); });
+            break;
+        case FilterPass::Least:
+            lines([&](const auto& line) { return least_along<Lanes>(line, pass.width); });
+            break;
+        case FilterPass::EdgePreserving:
+            edge_preserving_leaf(pass, first, band_vox, out);
+            break;
     }
 }
 
@@ -405,7 +420,8 @@ void likelihoods(const StereoReference& reference, const StereoTrustRule& rule, 
 
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)();
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)() {
-    static constexpr VectorLoops kLoops{VDBCARVE_STRING(VDBCARVE_ISA), raise_leaf, window_distance, measure_leaf, redistance_leaf, filter_leaf, first_planes, better_planes, likelihoods};
+    static constexpr VectorLoops kLoops{
+        VDBCARVE_STRING(VDBCARVE_ISA), raise_leaf, window_distance, measure_leaf, redistance_leaf, filter_leaf, first_planes, better_planes, likelihoods};
     return kLoops;
 }
 

@@ -68,7 +68,9 @@ struct VectorLoops {
     void (*likelihoods)(const kernel::StereoReference& reference, const kernel::StereoTrustRule& rule, int y, const kernel::StereoBest* planes, float* out);
 };
 
-inline size_t window_scratch(int width, int height) { return static_cast<size_t>(width + 144) * static_cast<size_t>(height + 8) * 4 + 2 * kernel::kMaxReach_px + 128; }
+inline size_t window_scratch(int width, int height) {
+    return static_cast<size_t>(width + 144) * static_cast<size_t>(height + 8) * 4 + 2 * kernel::kMaxReach_px + 128;
+}
 
 /// The widest set that the machine has, or what VDBCARVE_SIMD asks for.
 const VectorLoops& vector_loops();

@@ -17,7 +17,8 @@ std::vector<const VectorLoops*> all_vector_loops() {
     std::vector<const VectorLoops*> out{&vector_loops_generic()};
 #if defined(VDBCARVE_X86_SETS)
     if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2")) out.push_back(&vector_loops_avx2());
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd"))
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+        __builtin_cpu_supports("avx512cd"))
         out.push_back(&vector_loops_avx512());
 #endif
     return out;

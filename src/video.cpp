@@ -31,10 +31,10 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr int kFlowWidth_px = 192;
-constexpr double kFlowRate_hz = 10;       ///< flow between frames a tenth of a second apart: of a hand's tremor little is left
-constexpr double kWindow = 0.3;           ///< of a step, to both sides of where a frame is wanted: the sharpest there is taken
-constexpr double kLeastMotion_px = 1;     ///< of the whole film at kFlowWidth_px
-constexpr size_t kDecodedAhead = 32;      ///< frames that FFmpeg's threads and reordering may be ahead of the one that is handed out
+constexpr double kFlowRate_hz = 10;    ///< flow between frames a tenth of a second apart: of a hand's tremor little is left
+constexpr double kWindow = 0.3;        ///< of a step, to both sides of where a frame is wanted: the sharpest there is taken
+constexpr double kLeastMotion_px = 1;  ///< of the whole film at kFlowWidth_px
+constexpr size_t kDecodedAhead = 32;   ///< frames that FFmpeg's threads and reordering may be ahead of the one that is handed out
 
 /// Complaints of FFmpeg. OpenCV hands out frames of which half was made up, and this is where they are spoken of.
 std::atomic<int> complaints{0};
@@ -53,7 +53,10 @@ class Film {
         }
         av_log_set_callback(count_complaint);
         complaints = 0;
-        if (!capture_.isOpened()) throw InputError(file.string() + ": is not a film that can be opened, or its end is missing. Remedy: copy it again from the camera, or save it anew (as .mp4, H.264)");
+        if (!capture_.isOpened())
+            throw InputError(
+                file.string() +
+                ": is not a film that can be opened, or its end is missing. Remedy: copy it again from the camera, or save it anew (as .mp4, H.264)");
     }
     ~Film() { av_log_set_callback(av_log_default_callback); }
     Film(const Film&) = delete;
@@ -152,7 +155,9 @@ bool is_video(const fs::path& path) {
 
 VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const VideoOptions& options, Progress& progress) {
     if (options.frames < 4) throw UsageError("--video-frames " + std::to_string(options.frames) + ": at least 4 are needed");
-    if (!(options.from_s >= 0) || !(options.to_s == 0 || options.to_s > options.from_s)) throw UsageError(text_of("--video-range %g,%g: seconds from the film's start are expected, the second more than the first", options.from_s, options.to_s));
+    if (!(options.from_s >= 0) || !(options.to_s == 0 || options.to_s > options.from_s))
+        throw UsageError(
+            text_of("--video-range %g,%g: seconds from the film's start are expected, the second more than the first", options.from_s, options.to_s));
     VideoFrames out;
     std::vector<Seen> seen;
     std::vector<size_t> complained;
@@ -194,7 +199,8 @@ VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const V
             const bool damaged = i < seen.size() && seen[i].damaged;
             count += damaged;
             if (damaged && (i == 0 || !seen[i - 1].damaged)) first = i;
-            if (!damaged && i > 0 && seen[i - 1].damaged) where += (where.empty() ? "" : ", ") + minutes(seen[first].time_s) + "-" + minutes(seen[i - 1].time_s);
+            if (!damaged && i > 0 && seen[i - 1].damaged)
+                where += (where.empty() ? "" : ", ") + minutes(seen[first].time_s) + "-" + minutes(seen[i - 1].time_s);
         }
         if (count) out.warnings.push_back(file.string() + ": is damaged; no frame is taken from " + where);
     }
@@ -204,7 +210,8 @@ VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const V
     const size_t pairs = (seen.size() - 1) / stride;
     std::vector<double> moved(pairs, 0), before(seen.size(), 0);
     tbb::parallel_for(size_t{0}, pairs, [&](size_t p) { moved[p] = motion_between(seen[p * stride].grey, seen[(p + 1) * stride].grey); });
-    for (size_t i = 1; i < seen.size(); ++i) before[i] = before[i - 1] + (pairs ? moved[std::min((i - 1) / stride, pairs - 1)] : 0) / static_cast<double>(stride);
+    for (size_t i = 1; i < seen.size(); ++i)
+        before[i] = before[i - 1] + (pairs ? moved[std::min((i - 1) / stride, pairs - 1)] : 0) / static_cast<double>(stride);
     const double total = before.back();
     if (total < kLeastMotion_px) throw InputError(file.string() + ": nothing moves in it. Remedy: a film of an object that turns, or is walked around");
 
@@ -223,7 +230,8 @@ VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const V
         out.frames.push_back({frame_name(best->index), best->index, best->time_s, before[best_at] / total, best->sharpness});
     }
     if (out.frames.size() < wanted)
-        out.warnings.push_back(text_of("%s: %zu frames instead of %zu: where it is damaged, or moves on too fast, there are none", file.c_str(), out.frames.size(), wanted));
+        out.warnings.push_back(
+            text_of("%s: %zu frames instead of %zu: where it is damaged, or moves on too fast, there are none", file.c_str(), out.frames.size(), wanted));
     if (out.frames.size() < 4) throw InputError(file.string() + ": fewer than 4 frames can be used. Remedy: another film, or --video-range");
     out.looked_at = seen.size();
     out.duration_s = seen.back().time_s - seen.front().time_s;
@@ -299,12 +307,16 @@ bool write_film(size_t count, const std::function<Image8(size_t)>& picture, doub
 }
 
 void write_film(const std::vector<Image8>& pictures, double rate_hz, const fs::path& file) {
-    write_film(pictures.size(), [&](size_t i) { return pictures[i]; }, rate_hz, file, FilmCodec::Plain);
+    write_film(
+        pictures.size(), [&](size_t i) { return pictures[i]; }, rate_hz, file, FilmCodec::Plain);
 }
 
 std::string video_json(const VideoFrames& v) {
-    nlohmann::ordered_json j{{"width", v.width_px}, {"height", v.height_px}, {"looked_at", v.looked_at}, {"duration_s", v.duration_s}, {"frames", nlohmann::json::array()}, {"warnings", v.warnings}};
-    for (const VideoFrame& f : v.frames) j["frames"].push_back({{"name", f.name}, {"index", f.index}, {"time_s", f.time_s}, {"motion", f.motion}, {"sharpness", f.sharpness}});
+    nlohmann::ordered_json j{
+        {"width", v.width_px},   {"height", v.height_px}, {"looked_at", v.looked_at}, {"duration_s", v.duration_s}, {"frames", nlohmann::json::array()},
+        {"warnings", v.warnings}};
+    for (const VideoFrame& f : v.frames)
+        j["frames"].push_back({{"name", f.name}, {"index", f.index}, {"time_s", f.time_s}, {"motion", f.motion}, {"sharpness", f.sharpness}});
     return j.dump(1) + "\n";
 }
 
@@ -319,7 +331,8 @@ VideoFrames read_video_json(const fs::path& file) {
         out.duration_s = j.at("duration_s").get<double>();
         out.warnings = j.at("warnings").get<std::vector<std::string>>();
         for (const auto& f : j.at("frames"))
-            out.frames.push_back({f.at("name").get<std::string>(), f.at("index").get<size_t>(), f.at("time_s").get<double>(), f.at("motion").get<double>(), f.at("sharpness").get<double>()});
+            out.frames.push_back({f.at("name").get<std::string>(), f.at("index").get<size_t>(), f.at("time_s").get<double>(), f.at("motion").get<double>(),
+                                  f.at("sharpness").get<double>()});
     } catch (const nlohmann::json::exception& e) {
         throw InputError(file.string() + ": " + e.what());
     }

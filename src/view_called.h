@@ -17,7 +17,8 @@ inline bool is_called_like(const std::string& file_name, const std::filesystem::
     return file_name.size() > stem.size() && file_name.rfind(stem, 0) == 0 && (file_name[stem.size()] == '.' || file_name[stem.size()] == '_');
 }
 
-/// The view of that name, with or without folders and extension; files of ours leave folders away where names are still unique. Throws UsageError naming the option.
+/// The view of that name, with or without folders and extension; files of ours leave folders away where names are still unique. Throws UsageError naming the
+/// option.
 inline size_t view_called(const Views& views, const std::string& name, const std::string& option) {
     const auto found = std::find_if(views.views.begin(), views.views.end(), [&](const View& v) {
         const std::filesystem::path path(v.name);

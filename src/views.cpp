@@ -67,7 +67,8 @@ constexpr Importer kNvm{"VisualSFM", io::understands_nvm, io::read_nvm};
 constexpr Importer kSfm{"OpenMVG or Meshroom", io::understands_sfm, io::read_sfm};
 constexpr Importer kRealityCapture{"RealityCapture", io::understands_realitycapture, io::read_realitycapture};
 constexpr Importer kMatlab{"MATLAB", io::understands_matlab, io::read_matlab};
-constexpr const Importer* kImporters[] = {&kTransforms, &kColmap, &kMiddlebury, &kProjections, &kFileStorage, &kMetashape, &kBundler, &kNvm, &kSfm, &kRealityCapture, &kMatlab};
+constexpr const Importer* kImporters[] = {&kTransforms, &kColmap, &kMiddlebury, &kProjections,    &kFileStorage, &kMetashape,
+                                          &kBundler,    &kNvm,    &kSfm,        &kRealityCapture, &kMatlab};
 
 std::string upper_case(std::string text) {
     for (char& c : text) c = static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
@@ -83,8 +84,7 @@ std::vector<fs::path> files_ending(const fs::path& folder, const std::string& en
     std::vector<fs::path> out;
     for (const auto& entry : fs::directory_iterator(folder)) {
         const std::string name = entry.path().filename().string();
-        if (name.size() >= ending.size() && name.compare(name.size() - ending.size(), ending.size(), ending) == 0)
-            out.push_back(entry.path());
+        if (name.size() >= ending.size() && name.compare(name.size() - ending.size(), ending.size(), ending) == 0) out.push_back(entry.path());
     }
     std::sort(out.begin(), out.end());
     return out;
@@ -93,7 +93,8 @@ std::vector<fs::path> files_ending(const fs::path& folder, const std::string& en
 /// None where there is no file and none is needed.
 std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress& progress) {
     if (options.cameras == "none") {
-        if (!options.allow_unposed) throw UsageError("--cameras none: this needs cameras. Remedy: vdbcarve align SCENE -o OUT, then --cameras OUT/cameras.json");
+        if (!options.allow_unposed)
+            throw UsageError("--cameras none: this needs cameras. Remedy: vdbcarve align SCENE -o OUT, then --cameras OUT/cameras.json");
         return std::nullopt;
     }
     if (!options.cameras.empty()) {
@@ -103,7 +104,8 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
             if (importer->understands(given)) return Candidate{given, importer};
         throw InputError(given.string() +
                          ": not a camera file that is understood (transforms.json, COLMAP folder, *_par.txt, "
-                         "3x4 matrices as .pa or text, OpenCV's .yml, .xml or .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm, OpenMVG's .json, Meshroom's .sfm, RealityCapture's .csv, MATLAB's .mat)");
+                         "3x4 matrices as .pa or text, OpenCV's .yml, .xml or .json, Metashape's .xml, Bundler's .out, VisualSFM's .nvm, OpenMVG's .json, "
+                         "Meshroom's .sfm, RealityCapture's .csv, MATLAB's .mat)");
     }
     std::vector<fs::path> candidates;
     for (const char* name : {"transforms.json", "transforms_train.json", "cameras.json", "sfm_data.json", "sparse/0", "sparse", "colmap", "."})
@@ -127,7 +129,8 @@ std::optional<Candidate> find_camera_file(const ViewsOptions& options, Progress&
     if (options.allow_unposed) return std::nullopt;
     throw InputError(options.scene.string() +
                      ": no cameras found (looked for transforms.json, transforms_train.json, cameras.json, COLMAP in "
-                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa, *.xml, *.yml, *.mat, *.out, *.nvm, *.sfm, *.csv). Remedy: --cameras FILE, or vdbcarve align to find them");
+                     "sparse/0, sparse, colmap or the folder itself, *_par.txt, *.pa, *.xml, *.yml, *.mat, *.out, *.nvm, *.sfm, *.csv). Remedy: --cameras "
+                     "FILE, or vdbcarve align to find them");
 }
 
 /// Finds image files by the names that camera files use.
@@ -135,8 +138,7 @@ class ImageFinder {
   public:
     ImageFinder(const ViewsOptions& options, fs::path camera_folder)
         : images_(in_scene(options.images, options.scene)), scene_(options.scene), camera_folder_(std::move(camera_folder)), is_whole_(options.is_whole) {
-        if (!images_.empty() && !fs::is_directory(images_))
-            throw InputError(images_.string() + ": --images is not a folder");
+        if (!images_.empty() && !fs::is_directory(images_)) throw InputError(images_.string() + ": --images is not a folder");
     }
 
     fs::path find(const std::string& name) const {
@@ -166,8 +168,7 @@ class ImageFinder {
         for (const auto& entry : fs::directory_iterator(scene_)) {
             if (!entry.is_directory()) continue;
             subfolder_ = entry.path();
-            if (std::all_of(names.begin(), names.end(), [&](const std::string& n) { return !find(n).empty(); }))
-                with_all.push_back(entry.path());
+            if (std::all_of(names.begin(), names.end(), [&](const std::string& n) { return !find(n).empty(); })) with_all.push_back(entry.path());
         }
         subfolder_ = with_all.size() == 1 ? with_all.front() : fs::path();
         return !subfolder_.empty();
@@ -206,7 +207,8 @@ void say_focal_lengths(const Views& views, Progress& progress) {
     std::vector<std::string> others;
     for (const View& v : views.views)
         if (std::abs(share(v) / middle - 1) > kZoomed) others.push_back(v.name + " (" + std::to_string(std::lround(36 * share(v))) + " mm)");
-    progress.note("focal length from the photographs: " + std::to_string(std::lround(36 * middle)) + " mm on 35 mm film, " + std::to_string(std::lround(views.views.front().camera.intrinsics.fx)) + " px");
+    progress.note("focal length from the photographs: " + std::to_string(std::lround(36 * middle)) + " mm on 35 mm film, " +
+                  std::to_string(std::lround(views.views.front().camera.intrinsics.fx)) + " px");
     if (!others.empty())
         progress.warn("the lens was zoomed: most photographs say " + std::to_string(std::lround(36 * middle)) + " mm on 35 mm film, not so " + some_of(others) +
                       ". Cameras are found for one lens. Remedy: take these out (or the others, if they are few), or cameras of another program");
@@ -221,8 +223,11 @@ void say_sizes(const Views& views, Progress& progress) {
     }
     if (sizes.size() < 2) return;
     std::string text;
-    for (const auto& [size, names] : sizes) text += (text.empty() ? "" : "; ") + std::to_string(size.first) + " x " + std::to_string(size.second) + ": " + some_of(names);
-    progress.warn("photographs have different sizes: " + text + ". They are taken for the whole pictures of one lens, made smaller; what was cropped, or is another camera's, does not fit. Remedy: pictures as they came from the camera");
+    for (const auto& [size, names] : sizes)
+        text += (text.empty() ? "" : "; ") + std::to_string(size.first) + " x " + std::to_string(size.second) + ": " + some_of(names);
+    progress.warn("photographs have different sizes: " + text +
+                  ". They are taken for the whole pictures of one lens, made smaller; what was cropped, or is another camera's, does not fit. Remedy: pictures "
+                  "as they came from the camera");
 }
 
 /// Photographs alone, or, where there are none, masks.
@@ -254,7 +259,8 @@ Views unposed_views(const ViewsOptions& options, Progress& progress) {
         known += k.fx > 0;
     }
     // A focal length for some helps nobody: they are compared with each other.
-    progress.note(options.scene.string() + (options.cameras == "none" ? ": cameras are to be found (--cameras none)" : ": no camera file: cameras are to be found"));
+    progress.note(options.scene.string() +
+                  (options.cameras == "none" ? ": cameras are to be found (--cameras none)" : ": no camera file: cameras are to be found"));
     if (const auto turned = std::count_if(out.views.begin(), out.views.end(), [](const View& v) { return v.orientation != 1; }); turned > 0)
         progress.note(counted(static_cast<size_t>(turned), "photograph") + " turned as EXIF says");
     if (known < names.size())
@@ -271,14 +277,17 @@ std::vector<std::string> without_camera(const std::vector<View>& views, const st
     for (const View& v : views) folders.insert(v.image_path.parent_path());
     for (const fs::path& folder : folders)
         for (const std::string& name : fs::is_directory(folder) ? photos_in(folder) : std::vector<std::string>())
-            if (!photos.count(folder / name) && std::none_of(views.begin(), views.end(), [&](const View& v) { return is_called_like(name, v.image_path); })) out.push_back((folder / name).string());
+            if (!photos.count(folder / name) && std::none_of(views.begin(), views.end(), [&](const View& v) { return is_called_like(name, v.image_path); }))
+                out.push_back((folder / name).string());
     return out;
 }
 
 Views load_scene(const ViewsOptions& options, Progress& progress) {
     if (!fs::is_directory(options.scene)) {
         if (fs::is_regular_file(options.scene))
-            throw InputError(options.scene.string() + ": is a file; a scene is a folder with photographs, or (reconstruct, align, mask, carve) a film such as .mp4, whose frames `vdbcarve mask` puts into a folder in OUT/stages that is a scene");
+            throw InputError(options.scene.string() +
+                             ": is a file; a scene is a folder with photographs, or (reconstruct, align, mask, carve) a film such as .mp4, whose frames "
+                             "`vdbcarve mask` puts into a folder in OUT/stages that is a scene");
         throw InputError(options.scene.string() + ": there is no such folder or film");
     }
     const std::optional<Candidate> candidate = find_camera_file(options, progress);
@@ -303,13 +312,12 @@ Views load_scene(const ViewsOptions& options, Progress& progress) {
     out.metric = imported.metric;
     out.unverified = imported.unverified;
 
-    const bool nameless = std::all_of(imported.views.begin(), imported.views.end(),
-                                      [](const io::ImportedView& v) { return v.view.name.empty(); });
+    const bool nameless = std::all_of(imported.views.begin(), imported.views.end(), [](const io::ImportedView& v) { return v.view.name.empty(); });
     if (nameless) {
         const std::vector<std::string> photos = photos_in(photo_folder(options));
         if (photos.size() != imported.views.size())
-            throw InputError(found.path.string() + ": holds " + std::to_string(imported.views.size()) +
-                             " cameras without names, but the scene has " + std::to_string(photos.size()) + " images");
+            throw InputError(found.path.string() + ": holds " + std::to_string(imported.views.size()) + " cameras without names, but the scene has " +
+                             std::to_string(photos.size()) + " images");
         for (size_t i = 0; i < photos.size(); ++i) imported.views[i].view.name = photos[i];
     }
 
@@ -317,13 +325,10 @@ Views load_scene(const ViewsOptions& options, Progress& progress) {
     ImageFinder finder(options, camera_folder);
     std::vector<std::string> names;
     for (const io::ImportedView& v : imported.views) names.push_back(v.view.name);
-    const bool none_found =
-        std::all_of(names.begin(), names.end(), [&](const std::string& n) { return finder.find(n).empty(); });
-    if (none_found && finder.adopt_subfolder(names))
-        progress.note("images found in " + finder.subfolder().string());
+    const bool none_found = std::all_of(names.begin(), names.end(), [&](const std::string& n) { return finder.find(n).empty(); });
+    if (none_found && finder.adopt_subfolder(names)) progress.note("images found in " + finder.subfolder().string());
 
-    const bool integer_centres = options.pixel_centre == PixelCentre::Default ? imported.integer_pixel_centres
-                                                                              : options.pixel_centre == PixelCentre::Integer;
+    const bool integer_centres = options.pixel_centre == PixelCentre::Default ? imported.integer_pixel_centres : options.pixel_centre == PixelCentre::Integer;
     for (io::ImportedView& v : imported.views) {
         View& view = v.view;
         Intrinsics& k = view.camera.intrinsics;
@@ -374,21 +379,24 @@ Views load_scene(const ViewsOptions& options, Progress& progress) {
         if (!fresh && other->second != v.name)
             throw InputError(v.image_path.string() + ": is the image of both " + other->second + " and " + v.name + ". Remedy: keep the camera file's folders");
     }
-    if (!out.left_out.empty() && !options.is_whole) progress.warn(found.path.string() + ": " + counted(out.left_out.size(), "view") + " left out, image not found: " + some_of(out.left_out));
-    if (out.views.empty()) throw InputError(found.path.string() + (options.is_whole ? ": none of its " + counted(out.left_out.size(), "view") + " has a photograph yet" : ": no view has an image"));
-    std::stable_sort(out.views.begin(), out.views.end(),
-                     [](const View& a, const View& b) { return natural_less(a.name, b.name); });
+    if (!out.left_out.empty() && !options.is_whole)
+        progress.warn(found.path.string() + ": " + counted(out.left_out.size(), "view") + " left out, image not found: " + some_of(out.left_out));
+    if (out.views.empty())
+        throw InputError(found.path.string() +
+                         (options.is_whole ? ": none of its " + counted(out.left_out.size(), "view") + " has a photograph yet" : ": no view has an image"));
+    std::stable_sort(out.views.begin(), out.views.end(), [](const View& a, const View& b) { return natural_less(a.name, b.name); });
     for (size_t i = 1; i < out.views.size(); ++i)
-        if (out.views[i].name == out.views[i - 1].name)
-            throw InputError(found.path.string() + ": view " + out.views[i].name + " is listed twice");
+        if (out.views[i].name == out.views[i - 1].name) throw InputError(found.path.string() + ": view " + out.views[i].name + " is listed twice");
     check_views(out);
     if (options.is_whole) out.without_camera = without_camera(out.views, taken);
-    if (options.is_whole && !out.left_out.empty()) progress.note(counted(out.left_out.size(), "view") + " of " + found.path.string() + " without a photograph so far");
+    if (options.is_whole && !out.left_out.empty())
+        progress.note(counted(out.left_out.size(), "view") + " of " + found.path.string() + " without a photograph so far");
     return out;
 }
 
 bool same_sitting(const Sitting& a, const Sitting& b) {
-    return a.scale == b.scale && a.scene_from_sitting.rotation == b.scene_from_sitting.rotation && a.scene_from_sitting.translation == b.scene_from_sitting.translation;
+    return a.scale == b.scale && a.scene_from_sitting.rotation == b.scene_from_sitting.rotation &&
+           a.scene_from_sitting.translation == b.scene_from_sitting.translation;
 }
 
 /// Takes over the views of another scene that are not there yet.
@@ -398,14 +406,21 @@ void add_scene(Views& views, const fs::path& scene, const ViewsOptions& options,
     wanted.added.clear();
     std::error_code not_there;
     if (fs::equivalent(scene, options.scene, not_there)) return;  // its views are here, those that came lately too
-    if (fs::is_regular_file(scene)) throw UsageError("--add " + scene.string() + ": is a file; a folder with photographs and cameras of the same world is needed. Remedy, where it is a film: vdbcarve mask FILM, then its folder in OUT/stages, with cameras");
+    if (fs::is_regular_file(scene))
+        throw UsageError("--add " + scene.string() +
+                         ": is a file; a folder with photographs and cameras of the same world is needed. Remedy, where it is a film: vdbcarve mask FILM, then "
+                         "its folder in OUT/stages, with cameras");
     wanted.images.clear();
     if (wanted.cameras != "none") wanted.cameras.clear();
     Views other = load_scene(wanted, progress);
     if (views.posed != other.posed)
-        throw InputError((other.posed ? options.scene : scene).string() + ": has no camera file, and " + (other.posed ? scene : options.scene).string() + " has: where its photographs were taken from in that world is not known. Remedy: cameras for all of them, or --cameras none to find them all anew");
+        throw InputError(
+            (other.posed ? options.scene : scene).string() + ": has no camera file, and " + (other.posed ? scene : options.scene).string() +
+            " has: where its photographs were taken from in that world is not known. Remedy: cameras for all of them, or --cameras none to find them all anew");
     const auto differ = [&](const std::string& a, const std::string& b, const char* what) {
-        if (!a.empty() && !b.empty() && a != b) throw InputError(scene.string() + ": its " + what + " is " + b + ", that of " + options.scene.string() + " " + a + ". They are taken to be one world. Remedy: mend the camera file that is wrong");
+        if (!a.empty() && !b.empty() && a != b)
+            throw InputError(scene.string() + ": its " + what + " is " + b + ", that of " + options.scene.string() + " " + a +
+                             ". They are taken to be one world. Remedy: mend the camera file that is wrong");
     };
     differ(views.units, other.units, "unit");
     differ(views.up, other.up, "up axis");
@@ -431,7 +446,8 @@ void add_scene(Views& views, const fs::path& scene, const ViewsOptions& options,
     for (View& v : other.views) {
         if (!v.image_path.empty() && photos.count(fs::weakly_canonical(v.image_path))) continue;
         if (const auto taken = names.find(v.name); taken != names.end())
-            throw InputError(v.image_path.string() + ": a view is called " + v.name + " already (" + taken->second.string() + "). Remedy: another name for one of the photographs, also in its camera file");
+            throw InputError(v.image_path.string() + ": a view is called " + v.name + " already (" + taken->second.string() +
+                             "). Remedy: another name for one of the photographs, also in its camera file");
         v.scene = scene;
         v.sitting = sitting_of[v.sitting];
         views.views.push_back(std::move(v));
@@ -483,8 +499,7 @@ void check_views(const Views& views) {
         number("cy", k.cy, false);
         if (k.width_px < 2 || k.height_px < 2 || k.width_px > 65536 || k.height_px > 65536)
             say("image size " + std::to_string(k.width_px) + " x " + std::to_string(k.height_px) + " is not within 2..65536");
-        for (int i = 0; i < 3; ++i)
-            number(("t" + std::to_string(i + 1)).c_str(), pose.translation[i], false);
+        for (int i = 0; i < 3; ++i) number(("t" + std::to_string(i + 1)).c_str(), pose.translation[i], false);
         if (!pose.rotation.allFinite()) {
             for (int i = 0; i < 9; ++i)
                 if (!std::isfinite(pose.rotation(i / 3, i % 3)))
@@ -511,8 +526,7 @@ auto straightened(const View& view, const Read& read) {
         if constexpr (std::is_same_v<decltype(photo), Photo>) return std::pair{view_of(photo).width(), view_of(photo).height()};
         else return std::pair{photo.width, photo.height};
     }();
-    if (width != k.width_px || height != k.height_px)
-        throw InputError(other_size(view.image_path.string(), width, height, view.name, k.width_px, k.height_px));
+    if (width != k.width_px || height != k.height_px) throw InputError(other_size(view.image_path.string(), width, height, view.name, k.width_px, k.height_px));
     if (!view.lens.distorts()) return photo;
     if constexpr (std::is_same_v<decltype(photo), Photo>) return io::undistort(photo, k, view.lens);
     else return io::undistort(photo, k, view.lens, nullptr);

@@ -25,14 +25,19 @@ namespace {
 /// The files of some folders, and since when each has been as it is.
 class Folders {
   public:
-    Folders(std::vector<fs::path> roots, const fs::path& without, double settle_s) : roots_(std::move(roots)), without_(fs::weakly_canonical(without)), settle_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settle_s))) {}
+    Folders(std::vector<fs::path> roots, const fs::path& without, double settle_s)
+        : roots_(std::move(roots)),
+          without_(fs::weakly_canonical(without)),
+          settle_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settle_s))) {}
 
     void look() {
         const auto now = Clock::now();
         std::map<fs::path, File> seen;
         for (const fs::path& root : roots_) {
             std::error_code gone;  // files and folders may vanish under our eyes: then the next look is taken
-            for (auto it = fs::recursive_directory_iterator(root, fs::directory_options::follow_directory_symlink | fs::directory_options::skip_permission_denied, gone); !gone && it != fs::recursive_directory_iterator(); it.increment(gone)) {
+            for (auto it = fs::recursive_directory_iterator(
+                     root, fs::directory_options::follow_directory_symlink | fs::directory_options::skip_permission_denied, gone);
+                 !gone && it != fs::recursive_directory_iterator(); it.increment(gone)) {
                 std::error_code error;
                 const fs::path path = fs::weakly_canonical(it->path(), error);
                 if (error) continue;
@@ -113,7 +118,8 @@ class Folders {
     }
     bool is_settled(const File& file) const { return looked_ - file.since >= settle_; }
     bool is_ours(const fs::path& path) const {
-        return std::any_of(roots_.begin(), roots_.end(), [&](const fs::path& root) { return std::mismatch(root.begin(), root.end(), path.begin(), path.end()).first == root.end(); });
+        return std::any_of(roots_.begin(), roots_.end(),
+                           [&](const fs::path& root) { return std::mismatch(root.begin(), root.end(), path.begin(), path.end()).first == root.end(); });
     }
 
     std::vector<fs::path> roots_;
@@ -135,7 +141,8 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
     const auto watch_too = [&](const fs::path& folder) {
         if (!folder.empty() && fs::is_directory(folder)) roots.push_back(fs::canonical(folder));
     };
-    for (const fs::path& given : {options.reconstruct.views.images, options.reconstruct.mask.masks, options.reconstruct.mask.ignore_masks}) watch_too(io::in_scene(given, scene));
+    for (const fs::path& given : {options.reconstruct.views.images, options.reconstruct.mask.masks, options.reconstruct.mask.ignore_masks})
+        watch_too(io::in_scene(given, scene));
     for (const fs::path& added : options.reconstruct.views.added) watch_too(added);
     Folders folder(roots, options.reconstruct.output, options.settle_s);
     ReconstructOptions job = options.reconstruct;
@@ -159,8 +166,11 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
     };
     // What stays out is said each time: somebody may be reading the last lines only.
     const auto say_what_is_out = [&](const Views& views) {
-        for (const std::string& why : folder.damaged()) progress.warn(why + "; its photograph is left out until it is whole. Remedy: copy it again, or take it away");
-        if (!views.without_camera.empty()) progress.warn(counted(views.without_camera.size(), "photograph") + " without a camera in " + views.camera_file.string() + ": " + some_of(views.without_camera));
+        for (const std::string& why : folder.damaged())
+            progress.warn(why + "; its photograph is left out until it is whole. Remedy: copy it again, or take it away");
+        if (!views.without_camera.empty())
+            progress.warn(counted(views.without_camera.size(), "photograph") + " without a camera in " + views.camera_file.string() + ": " +
+                          some_of(views.without_camera));
     };
     const auto step = [&] {
         ViewsOptions so_far = job.views;
@@ -195,8 +205,12 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
         if (trouble) std::rethrow_exception(trouble);
         if (!made) throw InputError(scene.string() + ": nothing came (" + (waiting.empty() ? "no photograph" : waiting) + ")");
         const std::string so_far = options.reconstruct.output.string() + " is of " + counted(result.views, "view");
-        if (!folder.damaged().empty()) throw InputError(*folder.damaged().begin() + (folder.damaged().size() > 1 ? ", and " + std::to_string(folder.damaged().size() - 1) + " more" : "") + ": left out to the end; " + so_far + ". Remedy: copy it again; another watch goes on from there");
-        if (result.views < options.until_views) throw InputError(scene.string() + ": --until " + std::to_string(options.until_views) + ", and nothing came any more; " + so_far + ". Remedy: a longer --idle; another watch goes on from there");
+        if (!folder.damaged().empty())
+            throw InputError(*folder.damaged().begin() + (folder.damaged().size() > 1 ? ", and " + std::to_string(folder.damaged().size() - 1) + " more" : "") +
+                             ": left out to the end; " + so_far + ". Remedy: copy it again; another watch goes on from there");
+        if (result.views < options.until_views)
+            throw InputError(scene.string() + ": --until " + std::to_string(options.until_views) + ", and nothing came any more; " + so_far +
+                             ". Remedy: a longer --idle; another watch goes on from there");
         return result;
     };
     auto changed = Clock::now();

@@ -40,7 +40,8 @@ std::pair<double, double> errors_of(const Views& found, const Views& truth) {
     for (const View& v : found.views) {
         const auto t = std::find_if(truth.views.begin(), truth.views.end(), [&](const View& x) { return x.name == v.name; });
         const Camera &a = v.camera, &b = t->camera;
-        rotation = std::max(rotation, Eigen::AngleAxisd(a.camera_from_world.rotation * b.camera_from_world.rotation.transpose()).angle() * 180 / std::numbers::pi);
+        rotation =
+            std::max(rotation, Eigen::AngleAxisd(a.camera_from_world.rotation * b.camera_from_world.rotation.transpose()).angle() * 180 / std::numbers::pi);
         centre = std::max(centre, (a.centre_world() - b.centre_world()).norm() / b.centre_world().norm());
     }
     return {rotation, centre};
@@ -246,7 +247,9 @@ TEST(Features, TracksLieOnTheObject) {
     const std::vector<FeatureTrack> tracks = find_tracks(p.scene.views, p.masks, pairs, quiet);
     ASSERT_GT(tracks.size(), 50u);
     std::vector<OrbitCamera> cameras;
-    for (const Camera& c : p.scene.views.cameras()) cameras.push_back({c.camera_from_world.rotation, c.centre_world(), c.intrinsics.fx, c.intrinsics.fy / c.intrinsics.fx, c.intrinsics.cx, c.intrinsics.cy});
+    for (const Camera& c : p.scene.views.cameras())
+        cameras.push_back(
+            {c.camera_from_world.rotation, c.centre_world(), c.intrinsics.fx, c.intrinsics.fy / c.intrinsics.fx, c.intrinsics.cx, c.intrinsics.cy});
     size_t good = 0;
     for (const FeatureTrack& t : tracks) {
         const TrackedPlace at = place_of(cameras, t);
@@ -309,7 +312,8 @@ TEST(Align, TextureFixesTheAnglesOfARoundObject) {
     const AlignResult with = align(p.scene.nominal, p.masks, options, quiet);
     EXPECT_GT(with.features, 50u);
     EXPECT_LT(with.features_rms_px, 1);
-    const CameraErrors a = compare_cameras(without.views.cameras(), p.scene.views.cameras(), {}), b = compare_cameras(with.views.cameras(), p.scene.views.cameras(), {});
+    const CameraErrors a = compare_cameras(without.views.cameras(), p.scene.views.cameras(), {}),
+                       b = compare_cameras(with.views.cameras(), p.scene.views.cameras(), {});
     EXPECT_GT(a.rotation_rms_deg, 0.5) << "or there would be nothing to fix";
     EXPECT_LT(b.rotation_rms_deg, 0.15);
     EXPECT_LT(b.rotation_rms_deg, 0.3 * a.rotation_rms_deg);
@@ -373,7 +377,8 @@ TEST(Align, AKnownLengthGivesTheScale) {
     options.known_length->from_px = Vec2d(-2, 2);
     EXPECT_NE(error_of(ExitCode::Usage, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("outside of"), std::string::npos);
     options.known_length->from_px = Vec2d(2, 2);
-    EXPECT_NE(error_of(ExitCode::Input, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("is background in its mask"), std::string::npos);
+    EXPECT_NE(error_of(ExitCode::Input, [&] { align(without_cameras(scene.views, 0), masks, options, quiet); }).find("is background in its mask"),
+              std::string::npos);
 }
 
 // A floor is a height in the world that the cameras were in; only what stays in that world keeps it.

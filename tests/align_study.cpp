@@ -27,8 +27,8 @@ struct Job {
     AlignOptions options;
     std::vector<double> turned_deg;  ///< true angles, where they are not the rig's
     bool round = false;
-    double focal_given = 0;          ///< the start's focal length / the true one; 0: not given
-    int broken = 0;                  ///< masks of other objects' parts
+    double focal_given = 0;  ///< the start's focal length / the true one; 0: not given
+    int broken = 0;          ///< masks of other objects' parts
 };
 
 Job base(uint64_t seed) {
@@ -92,7 +92,8 @@ Outcome run(const Job& job) {
     const std::vector<Camera> truth = scene.views.cameras();
     const std::vector<Camera> found = r.views.cameras();
     std::vector<Vec3d> points;
-    for (size_t v = 0; v < scene.truth.vertices.size(); v += std::max<size_t>(1, scene.truth.vertices.size() / 300)) points.emplace_back(scene.truth.vertices[v][0], scene.truth.vertices[v][1], scene.truth.vertices[v][2]);
+    for (size_t v = 0; v < scene.truth.vertices.size(); v += std::max<size_t>(1, scene.truth.vertices.size() / 300))
+        points.emplace_back(scene.truth.vertices[v][0], scene.truth.vertices[v][1], scene.truth.vertices[v][2]);
     std::vector<Camera> good_truth, good_found;
     for (size_t i = 0; i < truth.size(); ++i)
         if (std::find(broken.begin(), broken.end(), i) == broken.end()) good_truth.push_back(truth[i]), good_found.push_back(found[i]);
@@ -164,7 +165,8 @@ std::vector<Case> cases() {
     add("angles +-12", [](Job& j) { j.spec.rig.shake_angle_deg = 12; });
     add("field of view 12, 24 views", [](Job& j) { j.spec.rig.fov_deg = 9.15, j.spec.rig.shake_look_at = 0.006, j.spec.rig.views = 24; });
     add("radius and height +-1 %", [](Job& j) { j.spec.rig.shake_position = 0.01; });
-    add("radius and height +-2 %, elevation 20, 24 views", [](Job& j) { j.spec.rig.shake_position = 0.02, j.spec.rig.elevation_deg = 20, j.spec.rig.views = 24; });
+    add("radius and height +-2 %, elevation 20, 24 views",
+        [](Job& j) { j.spec.rig.shake_position = 0.02, j.spec.rig.elevation_deg = 20, j.spec.rig.views = 24; });
     add("mask noise 0.5 px", [](Job& j) { j.spec.rig.shake_position = 0.01, j.spec.damage.noise_px = 0.5, j.spec.damage.correlation_px = 4; });
     add("mask noise 1.5 px", [](Job& j) { j.spec.rig.shake_position = 0.01, j.spec.damage.noise_px = 1.5, j.spec.damage.correlation_px = 4; });
     add("masks dilated 1 px", [](Job& j) { j.spec.damage.dilate_px = 1; });
@@ -179,7 +181,12 @@ std::vector<Case> cases() {
     add("speed changes, 20 degrees", [](Job& j) { j.spec.rig.speed_variation = 0.35; });
     add("speed changes, 40 degrees", [](Job& j) { j.spec.rig.speed_variation = 0.7; });
     add("speed changes, 50 degrees", [](Job& j) { j.spec.rig.speed_variation = 0.88; });
-    for (const double arc : {200.0, 270.0, 430.0, 500.0}) add(arc == 200 ? "arc 200 unknown" : arc == 270 ? "arc 270 unknown" : arc == 430 ? "arc 430 unknown" : "arc 500 unknown", [arc](Job& j) { j.spec.rig.arc_deg = arc, j.options.arc_known = false; });
+    for (const double arc : {200.0, 270.0, 430.0, 500.0})
+        add(arc == 200   ? "arc 200 unknown"
+            : arc == 270 ? "arc 270 unknown"
+            : arc == 430 ? "arc 430 unknown"
+                         : "arc 500 unknown",
+            [arc](Job& j) { j.spec.rig.arc_deg = arc, j.options.arc_known = false; });
     add("arc 270, said to be 360", [](Job& j) { j.spec.rig.arc_deg = 270; });
     add("breathing 1.5 %", [](Job& j) { j.spec.rig.breathing = 0.015; });
     add("breathing 1.5 %, --focal-varies", [](Job& j) { j.spec.rig.breathing = 0.015, j.options.focal_varies = true; });
@@ -215,7 +222,10 @@ int main(int argc, char** argv) {
         else if (!std::strcmp(argv[a], "--verbose")) quiet.on_detail = [](const std::string& text) { std::fprintf(stderr, "    %s\n", text.c_str()); };
         else wanted.push_back(argv[a]);
     }
-    std::printf("| case (medians of %d; worst) | rung | azimuth rms deg | reprojection px | f/true | hull IoU | lost %% | residual px | right/refused/WRONG | s |\n|---|---|---|---|---|---|---|---|---|---|\n", seeds);
+    std::printf(
+        "| case (medians of %d; worst) | rung | azimuth rms deg | reprojection px | f/true | hull IoU | lost %% | residual px | right/refused/WRONG | s "
+        "|\n|---|---|---|---|---|---|---|---|---|---|\n",
+        seeds);
     for (const Case& c : cases()) {
         if (!wanted.empty() && std::none_of(wanted.begin(), wanted.end(), [&](const std::string& w) { return c.name.find(w) != std::string::npos; })) continue;
         std::vector<Outcome> all;
@@ -234,7 +244,9 @@ int main(int argc, char** argv) {
             std::sort(v.begin(), v.end());
             return std::pair{v[v.size() / 2], largest ? v.back() : v.front()};
         };
-        const auto azimuth = of(&Outcome::azimuth, true), reprojection = of(&Outcome::reprojection, true), iou = of(&Outcome::iou, false), lost = of(&Outcome::lost, true), rms = of(&Outcome::rms, true), focal = of(&Outcome::focal, true), focal2 = of(&Outcome::focal, false), seconds = of(&Outcome::seconds, true);
+        const auto azimuth = of(&Outcome::azimuth, true), reprojection = of(&Outcome::reprojection, true), iou = of(&Outcome::iou, false),
+                   lost = of(&Outcome::lost, true), rms = of(&Outcome::rms, true), focal = of(&Outcome::focal, true), focal2 = of(&Outcome::focal, false),
+                   seconds = of(&Outcome::seconds, true);
         int right = 0, refused = 0, wrong = 0, named = 0, named_wrongly = 0;
         std::string rungs;
         for (const Outcome& o : all) {
@@ -244,8 +256,10 @@ int main(int argc, char** argv) {
             named += o.named, named_wrongly += o.named_wrongly;
             rungs += o.orbit[0];
         }
-        std::printf("| %s | %s | %.3f; %.3f | %.3f; %.3f | %.4f; %.3f-%.3f | %.4f; %.4f | %.2f; %.2f | %.3f; %.3f | %d/%d/%d%s | %.1f |\n", c.name.c_str(), rungs.c_str(), azimuth.first, azimuth.second, reprojection.first, reprojection.second, focal.first, focal2.second, focal.second,
-                    iou.first, iou.second, 100 * lost.first, 100 * lost.second, rms.first, rms.second, right, refused, wrong, named + named_wrongly ? (" named " + std::to_string(named) + ", wrongly " + std::to_string(named_wrongly)).c_str() : "", seconds.first);
+        std::printf("| %s | %s | %.3f; %.3f | %.3f; %.3f | %.4f; %.3f-%.3f | %.4f; %.4f | %.2f; %.2f | %.3f; %.3f | %d/%d/%d%s | %.1f |\n", c.name.c_str(),
+                    rungs.c_str(), azimuth.first, azimuth.second, reprojection.first, reprojection.second, focal.first, focal2.second, focal.second, iou.first,
+                    iou.second, 100 * lost.first, 100 * lost.second, rms.first, rms.second, right, refused, wrong,
+                    named + named_wrongly ? (" named " + std::to_string(named) + ", wrongly " + std::to_string(named_wrongly)).c_str() : "", seconds.first);
         std::fflush(stdout);
     }
     return 0;

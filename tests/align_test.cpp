@@ -34,7 +34,8 @@ std::vector<MaskView> views_of(const std::vector<Mask>& masks) {
 
 std::vector<Vec3d> points_on(const SyntheticScene& scene) {
     std::vector<Vec3d> out;
-    for (size_t v = 0; v < scene.truth.vertices.size(); v += scene.truth.vertices.size() / 200) out.emplace_back(scene.truth.vertices[v][0], scene.truth.vertices[v][1], scene.truth.vertices[v][2]);
+    for (size_t v = 0; v < scene.truth.vertices.size(); v += scene.truth.vertices.size() / 200)
+        out.emplace_back(scene.truth.vertices[v][0], scene.truth.vertices[v][1], scene.truth.vertices[v][2]);
     return out;
 }
 
@@ -121,7 +122,8 @@ TEST(OrbitModel, ColumnsAreTheDerivativesOfProjections) {
             const auto& d = column.direction;
             const Vec3d moved = Vec3d(d[kTurn], d[kTurn + 1], d[kTurn + 2]).cross(x) - c.camera_from_world * Vec3d(d[kCentre], d[kCentre + 1], d[kCentre + 2]);
             const double u = x.x() / x.z(), v = x.y() / x.z();
-            const Vec2d predicted(c.fx * ((moved.x() - u * moved.z()) / x.z() + u * d[kLnFocal]) + d[kCentreX], c.fx * c.aspect * ((moved.y() - v * moved.z()) / x.z() + v * d[kLnFocal]) + d[kCentreY]);
+            const Vec2d predicted(c.fx * ((moved.x() - u * moved.z()) / x.z() + u * d[kLnFocal]) + d[kCentreX],
+                                  c.fx * c.aspect * ((moved.y() - v * moved.z()) / x.z() + v * d[kLnFocal]) + d[kCentreY]);
             OrbitModel more = m, less = m;
             const double h = 1e-5;
             more.at(free[static_cast<size_t>(column.parameter)]).value += h;
@@ -208,7 +210,8 @@ double largest_distance(const Searched& s, const std::vector<ImageF>& whole, con
         const double px = std::clamp(u->x() - 0.5, 0.0, whole[k].width - 1.001), py = std::clamp(u->y() - 0.5, 0.0, whole[k].height - 1.001);
         const int ix = static_cast<int>(px), iy = static_cast<int>(py);
         const double a = px - ix, b = py - iy;
-        const double d = (1 - b) * ((1 - a) * whole[k].at(ix, iy) + a * whole[k].at(ix + 1, iy)) + b * ((1 - a) * whole[k].at(ix, iy + 1) + a * whole[k].at(ix + 1, iy + 1));
+        const double d =
+            (1 - b) * ((1 - a) * whole[k].at(ix, iy) + a * whole[k].at(ix + 1, iy)) + b * ((1 - a) * whole[k].at(ix, iy + 1) + a * whole[k].at(ix + 1, iy + 1));
         most = std::max(most, d + std::hypot(u->x() - 0.5 - px, u->y() - 0.5 - py));
     }
     return most;
@@ -273,7 +276,9 @@ TEST(Coherence, SupportsPredictResiduals) {
         std::vector<double> values, slopes;
         for (const Support& x : supports) {
             double v = x.distance_px;
-            for (int k = 0; k < kCameraDirections; ++k) v += x.by_own[k] * steps[static_cast<size_t>(s.points[p].view)][static_cast<size_t>(k)] + x.by_view[k] * steps[static_cast<size_t>(x.view)][static_cast<size_t>(k)];
+            for (int k = 0; k < kCameraDirections; ++k)
+                v += x.by_own[k] * steps[static_cast<size_t>(s.points[p].view)][static_cast<size_t>(k)] +
+                     x.by_view[k] * steps[static_cast<size_t>(x.view)][static_cast<size_t>(k)];
             values.push_back(v);
             slopes.push_back(x.slope);
         }
@@ -285,7 +290,8 @@ TEST(Coherence, SupportsPredictResiduals) {
     }
     ASSERT_GT(n, 40u);
     // (Samples of a distance field scatter by some hundredths of a pixel.)
-    EXPECT_LT(std::sqrt(error / n), 0.05 + 0.1 * std::sqrt(change / n)) << "changes of " << std::sqrt(change / n) << " px are predicted to " << std::sqrt(error / n);
+    EXPECT_LT(std::sqrt(error / n), 0.05 + 0.1 * std::sqrt(change / n))
+        << "changes of " << std::sqrt(change / n) << " px are predicted to " << std::sqrt(error / n);
 }
 
 struct Found {
@@ -414,7 +420,8 @@ TEST(Align, GivenCamerasAreRefinedInTheirOwnWorld) {
     options.method = AlignMethod::Refine;
     const AlignResult r = align(nominal, views_of(scene.masks), options, quiet);
     EXPECT_TRUE(r.failures.empty());
-    const CameraErrors before = compare_cameras(nominal.cameras(), scene.views.cameras(), points_on(scene)), after = compare_cameras(r.views.cameras(), scene.views.cameras(), points_on(scene));
+    const CameraErrors before = compare_cameras(nominal.cameras(), scene.views.cameras(), points_on(scene)),
+                       after = compare_cameras(r.views.cameras(), scene.views.cameras(), points_on(scene));
     EXPECT_GT(before.reprojection_rms_px, 2);
     EXPECT_LT(after.reprojection_rms_px, 0.4);
     EXPECT_NEAR(after.truth_from_estimate.scale, 1.0 / 25, 0.05 / 25) << "the world stays the given cameras'";
@@ -478,7 +485,8 @@ TEST(Align, OptionsThatContradictEachOtherAreNamedTogether) {
         align(without_cameras(scene.views, 0), views_of(scene.masks), options, quiet);
         FAIL();
     } catch (const UsageError& e) {
-        for (const char* part : {"2 angles for 8 views", "--rings: 3 views together", "7 views, the scene has 8", "one of --known-distance"}) EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
+        for (const char* part : {"2 angles for 8 views", "--rings: 3 views together", "7 views, the scene has 8", "one of --known-distance"})
+            EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
     }
     EXPECT_THROW(align(without_cameras(scene.views, 0), std::vector<MaskView>(8), {}, quiet), InputError);
     // What a method does not heed is not swallowed.
@@ -491,7 +499,8 @@ TEST(Align, OptionsThatContradictEachOtherAreNamedTogether) {
         align(scene.views, views_of(scene.masks), refine, quiet);
         FAIL();
     } catch (const UsageError& e) {
-        for (const char* part : {"--direction is of --method coherence or paper, not of refine", "--paper-views is of --method paper"}) EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
+        for (const char* part : {"--direction is of --method coherence or paper, not of refine", "--paper-views is of --method paper"})
+            EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
     }
     EXPECT_TRUE(given_options({}).empty());
 }
@@ -509,7 +518,9 @@ TEST(Align, ATwofoldSymmetryIsSeen) {
     options.restarts = 0;
     const Found f = find(spec, options);
     EXPECT_EQ(f.result.symmetry, 2);
-    EXPECT_NE(std::find_if(f.result.warnings.begin(), f.result.warnings.end(), [](const std::string& w) { return w.find("1/2 of a turn") != std::string::npos; }), f.result.warnings.end());
+    EXPECT_NE(
+        std::find_if(f.result.warnings.begin(), f.result.warnings.end(), [](const std::string& w) { return w.find("1/2 of a turn") != std::string::npos; }),
+        f.result.warnings.end());
     const Found lump = find(small_orbit(2, 18), options);
     EXPECT_TRUE(lump.result.angles_observable);
     EXPECT_EQ(lump.result.symmetry, 1);
@@ -656,7 +667,8 @@ TEST(AlignPipeline, MasksAloneBecomeAMeshAndAgainTheSame) {
 TEST(AlignPipeline, CamerasThatCannotBeTrustedEndTheRunUnlessAccepted) {
     Folder f(small_orbit(1, 14));
     f.run();
-    const std::string mesh = read_text(f.folder / "out/mesh.ply"), cameras = read_text(f.folder / "out/cameras.json"), report = read_text(f.folder / "out/report.json");
+    const std::string mesh = read_text(f.folder / "out/mesh.ply"), cameras = read_text(f.folder / "out/cameras.json"),
+                      report = read_text(f.folder / "out/report.json");
     f.options.align.direction = Turn::Counterclockwise;
     const std::string said = error_of(ExitCode::Undetermined, [&] { f.run(); });
     EXPECT_NE(said.find("do not fit together"), std::string::npos) << said;

@@ -30,8 +30,15 @@ TEST(Board, LayoutsAreReadAndMistakesNamed) {
     EXPECT_EQ(charuco.kind, MatLayout::Kind::Charuco);
     EXPECT_DOUBLE_EQ(charuco.marker_m, 0.022);
     EXPECT_DOUBLE_EQ(charuco.height_m(), 0.27);
-    for (const auto& [text, part] : {std::pair{"grid:5x7:0.035", "neither a file"}, {"grid:5by7:0.03:0.01", "'5by7'"}, {"grid:5x7:3cm:0.01", "'3cm'"}, {"charuco:7x8:0.03:0.02", "odd"},
-                                     {"charuco:7x9:0.02:0.03", "smaller than its square of 0.02 m"}, {"grid:20x20:0.02:0.01:4X4_50", "400 markers"}, {"grid:2x2:0.02:0.01:8X8_50", "8X8_50"}, {"grid:5x7:35:5:6X6_250", "35 mm are 0.035"}, {"charuco:7x9:2.5:0.018", "metres"}})
+    for (const auto& [text, part] : {std::pair{"grid:5x7:0.035", "neither a file"},
+                                     {"grid:5by7:0.03:0.01", "'5by7'"},
+                                     {"grid:5x7:3cm:0.01", "'3cm'"},
+                                     {"charuco:7x8:0.03:0.02", "odd"},
+                                     {"charuco:7x9:0.02:0.03", "smaller than its square of 0.02 m"},
+                                     {"grid:20x20:0.02:0.01:4X4_50", "400 markers"},
+                                     {"grid:2x2:0.02:0.01:8X8_50", "8X8_50"},
+                                     {"grid:5x7:35:5:6X6_250", "35 mm are 0.035"},
+                                     {"charuco:7x9:2.5:0.018", "metres"}})
         EXPECT_NE(error_of(ExitCode::Usage, [&, t = text] { read_mat(t); }).find(part), std::string::npos) << text;
 }
 
@@ -70,7 +77,9 @@ TEST(Board, IsOpenCvsOwnBoard) {
         std::vector<int> ids;
         cv::aruco::detectMarkers(io::wrap(image.view()), dictionary, corners, ids);
         cv::Ptr<cv::aruco::Board> board;
-        if (mat.kind == MatLayout::Kind::Grid) board = cv::aruco::GridBoard::create(mat.columns, mat.rows, static_cast<float>(mat.marker_m), static_cast<float>(mat.step_m - mat.marker_m), dictionary);
+        if (mat.kind == MatLayout::Kind::Grid)
+            board = cv::aruco::GridBoard::create(mat.columns, mat.rows, static_cast<float>(mat.marker_m), static_cast<float>(mat.step_m - mat.marker_m),
+                                                 dictionary);
         else board = cv::aruco::CharucoBoard::create(mat.columns, mat.rows, static_cast<float>(mat.step_m), static_cast<float>(mat.marker_m), dictionary);
         ASSERT_EQ(ids.size(), board->ids.size()) << text;
         for (size_t k = 0; k < ids.size(); ++k)

@@ -92,7 +92,8 @@ TEST(Carve, BricksMergeIntoTheWhole) {
     expect_same(*whole, *merge_bricks(bricks));
 }
 
-// Views that come one by one, in any order: after each the hull is that of a carve of all so far. Fields of known views are there where they ignore pixels only.
+// Views that come one by one, in any order: after each the hull is that of a carve of all so far. Fields of known views are there where they ignore pixels
+// only.
 TEST_P(Hierarchical, ViewsAddedOneByOneGiveTheSameBits) {
     const CarveCase& c = GetParam();
     const Shoot s = c.make();
@@ -136,7 +137,9 @@ TEST_P(Hierarchical, ViewsAddedOneByOneGiveTheSameBits) {
         }
     }
     std::printf("%s: %.2f of the look-ups of carving anew\n", c.name.c_str(), static_cast<double>(asked) / static_cast<double>(asked_anew));
-    if (c.name == "orthographic") { EXPECT_LT(2 * asked, asked_anew); }  // whose frames hold the bounds whole
+    if (c.name == "orthographic") {
+        EXPECT_LT(2 * asked, asked_anew);
+    }  // whose frames hold the bounds whole
 }
 
 TEST(Carve, AHullOfOtherVoxelsIsNotExtended) {
@@ -217,7 +220,9 @@ TEST(Carve, FieldScaleKeepsNormals) {
         o.bounds_world = Box3d(Vec3d::Constant(-0.7), Vec3d::Constant(0.7));
         const FieldPlan plan = plan_fields(scene.views.cameras(), o, shot.scale);
         EXPECT_NEAR(plan.px_per_voxel, shot.px_per_voxel, 0.05 * shot.px_per_voxel);
-        if (shot.scale == 0) { EXPECT_GT(plan.scale, 1); }
+        if (shot.scale == 0) {
+            EXPECT_GT(plan.scale, 1);
+        }
         DistanceOptions d;
         d.scale = plan.scale;
         d.reach_samples = plan.reach_samples;
@@ -280,10 +285,14 @@ TEST(Carve, SameBitsOnEveryInstructionSet) {
                 const CellAnswers a = loops->raise_leaf(view, origin, 0xff, radius, band, values.data());
                 for (int at = 0; at < kLeafVoxels; ++at) {
                     const int in_cell = cell_order(at);
-                    const kernel::Vec3 p = kernel::voxel_in_camera(to_camera, static_cast<float>(at >> 6), static_cast<float>(at >> 3 & 7), static_cast<float>(at & 7));
+                    const kernel::Vec3 p =
+                        kernel::voxel_in_camera(to_camera, static_cast<float>(at >> 6), static_cast<float>(at >> 3 & 7), static_cast<float>(at & 7));
                     const float plain = kernel::silhouette_value(view, view.silhouette, kernel::project(view, p), p.z, band);
-                    if (a.out >> (in_cell >> 6) & 1) { ASSERT_EQ(plain, band); }
-                    else { ASSERT_EQ(values[static_cast<size_t>(in_cell)], plain) << loops->name; }  // cells not evaluated keep -band
+                    if (a.out >> (in_cell >> 6) & 1) {
+                        ASSERT_EQ(plain, band);
+                    } else {
+                        ASSERT_EQ(values[static_cast<size_t>(in_cell)], plain) << loops->name;
+                    }  // cells not evaluated keep -band
                 }
                 evaluated += static_cast<size_t>(__builtin_popcount(a.mixed));
             }
@@ -388,8 +397,7 @@ TEST(Carve, ObjectStaysInsideItsHull) {
         const auto hull = carve(s.inputs, o, quiet).hull;
         openvdb::tools::GridSampler<openvdb::FloatGrid, openvdb::tools::BoxSampler> sample(*hull);
         size_t outside = 0;
-        for (const auto& v : s.scene.truth.vertices)
-            outside += sample.wsSample(openvdb::Vec3d(v[0], v[1], v[2])) > 0.35 * o.lattice.voxel_size;
+        for (const auto& v : s.scene.truth.vertices) outside += sample.wsSample(openvdb::Vec3d(v[0], v[1], v[2])) > 0.35 * o.lattice.voxel_size;
         EXPECT_LT(static_cast<double>(outside), 0.002 * static_cast<double>(s.scene.truth.vertices.size())) << name;
     }
 }

@@ -32,11 +32,16 @@ TEST(ColorSpace, Ciede2000AgreesWithThePublishedPairs) {
     const struct {
         std::array<double, 3> a, b;
         double expected;
-    } pairs[] = {{{50, 2.6772, -79.7751}, {50, 0, -82.7485}, 2.0425},   {{50, -1.3802, -84.2814}, {50, 0, -82.7485}, 1.0000},
-                 {{50, 0, 0}, {50, -1, 2}, 2.3669},                     {{50, 2.49, -0.001}, {50, -2.49, 0.0009}, 7.1792},
-                 {{50, 2.49, -0.001}, {50, -2.49, 0.0011}, 7.2195},     {{50, -0.001, 2.49}, {50, 0.0009, -2.49}, 4.8045},
-                 {{50, 2.5, 0}, {50, 0, -2.5}, 4.3065},                 {{50, 2.5, 0}, {73, 25, -18}, 27.1492},
-                 {{60.2574, -34.0099, 36.2677}, {60.4626, -34.1751, 39.4387}, 1.2644}, {{2.0776, 0.0795, -1.135}, {0.9033, -0.0636, -0.5514}, 0.9082}};
+    } pairs[] = {{{50, 2.6772, -79.7751}, {50, 0, -82.7485}, 2.0425},
+                 {{50, -1.3802, -84.2814}, {50, 0, -82.7485}, 1.0000},
+                 {{50, 0, 0}, {50, -1, 2}, 2.3669},
+                 {{50, 2.49, -0.001}, {50, -2.49, 0.0009}, 7.1792},
+                 {{50, 2.49, -0.001}, {50, -2.49, 0.0011}, 7.2195},
+                 {{50, -0.001, 2.49}, {50, 0.0009, -2.49}, 4.8045},
+                 {{50, 2.5, 0}, {50, 0, -2.5}, 4.3065},
+                 {{50, 2.5, 0}, {73, 25, -18}, 27.1492},
+                 {{60.2574, -34.0099, 36.2677}, {60.4626, -34.1751, 39.4387}, 1.2644},
+                 {{2.0776, 0.0795, -1.135}, {0.9033, -0.0636, -0.5514}, 0.9082}};
     for (const auto& p : pairs) {
         EXPECT_NEAR(ciede2000(p.a, p.b), p.expected, 1e-4);
         EXPECT_NEAR(ciede2000(p.b, p.a), p.expected, 1e-4);
@@ -89,8 +94,9 @@ TEST(Sight, BlockedAgreesWithSmallStepsOnNoise) {
         if (n % 50 == 0) way = Vec3d::Unit(n / 50 % 3) * (n % 100 ? 1 : -1);
         way.normalize();
         const double length = uniform(5, 700);
-        const bool found = kernel::is_blocked(cells, rule.box, {static_cast<float>(from.x() - base.i), static_cast<float>(from.y() - base.j), static_cast<float>(from.z() - base.k)},
-                                              {static_cast<float>(way.x()), static_cast<float>(way.y()), static_cast<float>(way.z())}, static_cast<float>(length));
+        const bool found = kernel::is_blocked(
+            cells, rule.box, {static_cast<float>(from.x() - base.i), static_cast<float>(from.y() - base.j), static_cast<float>(from.z() - base.k)},
+            {static_cast<float>(way.x()), static_cast<float>(way.y()), static_cast<float>(way.z())}, static_cast<float>(length));
         // Certainly: a cell entered by a hundredth of a voxel. Possibly: one that comes as near.
         bool certain = false, possible = false;
         for (double t = 0; t < length; t += 0.02) {
@@ -98,10 +104,12 @@ TEST(Sight, BlockedAgreesWithSmallStepsOnNoise) {
             for (int a = -1; a <= 1; a += 2)
                 for (int axis = 0; axis < 3; ++axis) {
                     const Vec3d q = p + a * 0.02 * Vec3d::Unit(axis);
-                    const openvdb::Coord c(static_cast<int>(std::floor(q.x() + 0.5)), static_cast<int>(std::floor(q.y() + 0.5)), static_cast<int>(std::floor(q.z() + 0.5)));
+                    const openvdb::Coord c(static_cast<int>(std::floor(q.x() + 0.5)), static_cast<int>(std::floor(q.y() + 0.5)),
+                                           static_cast<int>(std::floor(q.z() + 0.5)));
                     possible |= grid->tree().getValue(c) < 0.5f;
                 }
-            const openvdb::Coord c(static_cast<int>(std::floor(p.x() + 0.5)), static_cast<int>(std::floor(p.y() + 0.5)), static_cast<int>(std::floor(p.z() + 0.5)));
+            const openvdb::Coord c(static_cast<int>(std::floor(p.x() + 0.5)), static_cast<int>(std::floor(p.y() + 0.5)),
+                                   static_cast<int>(std::floor(p.z() + 0.5)));
             const Vec3d inside = (p - Vec3d(c[0], c[1], c[2])).cwiseAbs();
             certain |= inside.maxCoeff() < 0.48 && grid->tree().getValue(c) < 0.5f;
             if (certain) break;
@@ -136,7 +144,8 @@ TEST(Sight, AnswersDoNotDependOnWhatWasAskedBefore) {
         const openvdb::Coord c = it.getCoord();
         for (const Vec3d& way : {Vec3d(1, 0.2, 0.1), Vec3d(-0.3, 1, 0.4), Vec3d(0.2, -0.4, -1), Vec3d(-1, -1, 0.3)}) {
             const Vec3d w = way.normalized();
-            const kernel::Vec3 from{static_cast<float>(c[0] - base.i), static_cast<float>(c[1] - base.j), static_cast<float>(c[2] - base.k)}, to{static_cast<float>(w.x()), static_cast<float>(w.y()), static_cast<float>(w.z())};
+            const kernel::Vec3 from{static_cast<float>(c[0] - base.i), static_cast<float>(c[1] - base.j), static_cast<float>(c[2] - base.k)},
+                to{static_cast<float>(w.x()), static_cast<float>(w.y()), static_cast<float>(w.z())};
             kernel::SightCells fresh(sight);
             const bool expected = kernel::is_blocked(fresh, rule.box, from, to, 2000);
             ASSERT_EQ(kernel::is_blocked(kept, rule.box, from, to, 2000), expected);
@@ -217,7 +226,9 @@ struct Patch {
 TEST(Fill, LinearBetweenTwoKnownEnds) {
     Patch p;
     for (int x = -40; x <= 160; ++x)
-        for (int y = -12; y <= 12; ++y) p.add(x, y, x < 0 || x > 100, {0.2f + 0.006f * static_cast<float>(std::clamp(x, 0, 101)), 0.5f, 0.9f - 0.008f * static_cast<float>(std::clamp(x, 0, 101))});
+        for (int y = -12; y <= 12; ++y)
+            p.add(x, y, x < 0 || x > 100,
+                  {0.2f + 0.006f * static_cast<float>(std::clamp(x, 0, 101)), 0.5f, 0.9f - 0.008f * static_cast<float>(std::clamp(x, 0, 101))});
     fill_colors(p.keys, p.known, p.colors);
     double worst = 0;
     for (int x = 0; x <= 100; ++x)
@@ -478,8 +489,8 @@ TEST(Color, HiddenSurfacesDoNotTakeTheColourOfWhatStandsInFront) {
     }
 }
 
-// At the size of a real shoot: of what cameras truly see 3 px inside their masks 98 % is coloured, and rightly. The turntable's lamp does not turn along: there the
-// truth is the mean over the cameras in front, and blending gets nearer to it than any one view.
+// At the size of a real shoot: of what cameras truly see 3 px inside their masks 98 % is coloured, and rightly. The turntable's lamp does not turn along: there
+// the truth is the mean over the cameras in front, and blending gets nearer to it than any one view.
 struct QualityCase {
     const char* name;
     const char* object;
@@ -511,8 +522,10 @@ TEST_P(ColorQuality, IsTheObjects) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Shoots, ColorQuality,
-                         testing::Values(QualityCase{"cup", "cup", 0, 0, Rig::Motion::Camera, 2, 8}, QualityCase{"cup_gloss_exposures", "cup", 0.6, 0.2, Rig::Motion::Camera, 2, 8},
-                                         QualityCase{"pair", "pair", 0, 0, Rig::Motion::Camera, 2, 8}, QualityCase{"cup_turntable_gloss", "cup", 0.6, 0, Rig::Motion::Turntable, 4, 12}),
+                         testing::Values(QualityCase{"cup", "cup", 0, 0, Rig::Motion::Camera, 2, 8},
+                                         QualityCase{"cup_gloss_exposures", "cup", 0.6, 0.2, Rig::Motion::Camera, 2, 8},
+                                         QualityCase{"pair", "pair", 0, 0, Rig::Motion::Camera, 2, 8},
+                                         QualityCase{"cup_turntable_gloss", "cup", 0.6, 0, Rig::Motion::Turntable, 4, 12}),
                          [](const auto& instance) { return instance.param.name; });
 
 // The paper's least: two photographs at a right angle, four around.
@@ -584,7 +597,8 @@ TEST(Color, AFarOriginCostsNothing) {
     for (ColorInput& input : s.inputs) input.camera.camera_from_world.translation -= input.camera.camera_from_world.rotation * moved;
     const ColorResult there = color(*far, s.inputs, {}, quiet);
     EXPECT_EQ(here.statistics.surface_voxels, there.statistics.surface_voxels);
-    EXPECT_NEAR(static_cast<double>(here.statistics.colored), static_cast<double>(there.statistics.colored), 0.002 * static_cast<double>(here.statistics.colored));
+    EXPECT_NEAR(static_cast<double>(here.statistics.colored), static_cast<double>(there.statistics.colored),
+                0.002 * static_cast<double>(here.statistics.colored));
     size_t off = 0;
     for (auto it = here.color->cbeginValueOn(); it; ++it) off += ((*it) - there.color->tree().getValue(it.getCoord() + shift)).length() > 0.01f;
     EXPECT_LT(off, here.color->activeVoxelCount() / 200);

@@ -6,9 +6,9 @@
 //   vdbcarve_device_bench hull FOLDER N FILE      carves a packed scene at resolution N on the device and writes the hull as .vdb
 //   vdbcarve_device_bench color FOLDER GRID       colours a packed scene with photographs, step by step
 //   vdbcarve_device_bench render FOLDER GRID      pictures of a packed scene; and, at 128, 256 and 512, carving and looking at it again and again
-//   vdbcarve_device_bench add FOLDER N            views of a packed scene added one after another at resolution N, on the CPU and, where there is one, on the device
-//   vdbcarve_device_bench ceilings                what the device can do at most
-//   vdbcarve_device_bench once GRID               one run of all stages, for a profiler
+//   vdbcarve_device_bench add FOLDER N            views of a packed scene added one after another at resolution N, on the CPU and, where there is one, on the
+//   device vdbcarve_device_bench ceilings                what the device can do at most vdbcarve_device_bench once GRID               one run of all stages,
+//   for a profiler
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -90,8 +90,10 @@ void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid,
             for (const auto& [name, ms] : device.milliseconds()) steps[name].push_back(ms);
             steps["wall, with the grids on the host"].push_back(wall);
         }
-        std::printf("%s: %zu voxels of the contour, %.1f %% seen, %zu views, %.0f MB on the device\n", mode == ColorMode::Best ? "best" : "blend", result.statistics.surface_voxels,
-                    100.0 * static_cast<double>(result.statistics.colored) / static_cast<double>(result.statistics.surface_voxels), inputs.size(), static_cast<double>(device.bytes()) / 1e6);
+        std::printf("%s: %zu voxels of the contour, %.1f %% seen, %zu views, %.0f MB on the device\n", mode == ColorMode::Best ? "best" : "blend",
+                    result.statistics.surface_voxels,
+                    100.0 * static_cast<double>(result.statistics.colored) / static_cast<double>(result.statistics.surface_voxels), inputs.size(),
+                    static_cast<double>(device.bytes()) / 1e6);
         print_medians(steps);
     }
 }
@@ -237,7 +239,8 @@ void bench_render(const test::PackedScene& scene, const std::array<int, 3>& grid
                 live.render(camera(scene.bounds, frame), o);
                 if (frame >= 3) ms.push_back(1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
             }
-            std::printf("%d: %scarve and render, picture home: %.2f ms, %.0f frames a second\n", side, fields_too ? "masks up, fields, " : "", median_of(ms), 1e3 / median_of(ms));
+            std::printf("%d: %scarve and render, picture home: %.2f ms, %.0f frames a second\n", side, fields_too ? "masks up, fields, " : "", median_of(ms),
+                        1e3 / median_of(ms));
         }
     }
 }
@@ -333,13 +336,15 @@ int run(const std::vector<std::string>& words) {
         bench_render(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "ceilings") {
         const test::DeviceCeilings c = test::measure_ceilings();
-        std::printf("copy within the device %.0f GB/s (read + written), upload %.1f GB/s, separate float operations %.0f G warp instructions/s\n", c.copy_gb_s, c.upload_gb_s, c.instructions_g_s);
+        std::printf("copy within the device %.0f GB/s (read + written), upload %.1f GB/s, separate float operations %.0f G warp instructions/s\n", c.copy_gb_s,
+                    c.upload_gb_s, c.instructions_g_s);
     } else if (what == "once" && words.size() == 2) {
         o.cases = {{grid_of(words[1]), 36}};
         o.dense = false;
         std::cout << bench_table(run_bench(o, progress));
     } else {
-        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | filter FOLDER GRID | render FOLDER GRID | add FOLDER N | ceilings | once GRID\n";
+        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | filter FOLDER GRID | render FOLDER GRID | "
+                     "add FOLDER N | ceilings | once GRID\n";
         return 2;
     }
     return 0;

@@ -5,8 +5,8 @@
 namespace vdbcarve::test {
 
 struct DeviceCeilings {
-    double copy_gb_s;      ///< bytes read plus bytes written by a large copy within the device
-    double upload_gb_s;    ///< from page-locked host memory
+    double copy_gb_s;         ///< bytes read plus bytes written by a large copy within the device
+    double upload_gb_s;       ///< from page-locked host memory
     double instructions_g_s;  ///< warp instructions a second of separate float additions and multiplications, 1e9
 };
 

@@ -75,12 +75,13 @@ ImageF brute_force(const Image8& m) {
     std::vector<std::pair<Piece, std::pair<int, int>>> pieces;
     for (int y = 0; y < m.height; ++y)
         for (int x = 0; x < m.width; ++x) {
-            if (x + 1 < m.width && (m.at(x, y) >= 128) != (m.at(x + 1, y) >= 128)) points.emplace_back(x + kernel::crossing(m.at(x, y), m.at(x + 1, y)) / 64.0, y);
-            if (y + 1 < m.height && (m.at(x, y) >= 128) != (m.at(x, y + 1) >= 128)) points.emplace_back(x, y + kernel::crossing(m.at(x, y), m.at(x, y + 1)) / 64.0);
+            if (x + 1 < m.width && (m.at(x, y) >= 128) != (m.at(x + 1, y) >= 128))
+                points.emplace_back(x + kernel::crossing(m.at(x, y), m.at(x + 1, y)) / 64.0, y);
+            if (y + 1 < m.height && (m.at(x, y) >= 128) != (m.at(x, y + 1) >= 128))
+                points.emplace_back(x, y + kernel::crossing(m.at(x, y), m.at(x, y + 1)) / 64.0);
             if (x + 1 < m.width && y + 1 < m.height) {
                 const auto p = kernel::contour_pieces(m.at(x, y), m.at(x + 1, y), m.at(x + 1, y + 1), m.at(x, y + 1));
-                for (int i = 0; i < p.count; ++i)
-                    pieces.push_back({{x + p.ax[i] / 64.0, y + p.ay[i] / 64.0, x + p.bx[i] / 64.0, y + p.by[i] / 64.0}, {x, y}});
+                for (int i = 0; i < p.count; ++i) pieces.push_back({{x + p.ax[i] / 64.0, y + p.ay[i] / 64.0, x + p.bx[i] / 64.0, y + p.by[i] / 64.0}, {x, y}});
             }
         }
     ImageF out(m.width, m.height);
@@ -129,7 +130,8 @@ TEST(Distance, ChangesByAtMostTheDistanceWalkedAndTheSlop) {
         const Image8 m = random_mask(80, 60, seed, true);
         const ImageF s = signed_distance(m);
         for (int n = 0; n < 200000; ++n) {
-            const int ax = static_cast<int>(engine() % 80), ay = static_cast<int>(engine() % 60), bx = static_cast<int>(engine() % 80), by = static_cast<int>(engine() % 60);
+            const int ax = static_cast<int>(engine() % 80), ay = static_cast<int>(engine() % 60), bx = static_cast<int>(engine() % 80),
+                      by = static_cast<int>(engine() % 60);
             ASSERT_LE(std::fabs(s.at(ax, ay) - s.at(bx, by)), std::hypot(ax - bx, ay - by) + 2 * 0.083 + 1.0 / 64 + 1e-5);
         }
     }
@@ -201,10 +203,16 @@ TEST(Distance, WindowAndBlocksAgreeWithTheWholeImage) {
                 const double exact = whole.at(x, y) - offset;
                 ASSERT_NEAR(field.silhouette.at(x, y), std::clamp(exact, -12.0, 12.0), 1.0 / 64) << x << " " << y;
                 const double bound = kernel::distance_bound_px(view, static_cast<float>(x) + 0.5f, static_cast<float>(y) + 0.5f, 50);
-                if (bound > 0) { ASSERT_LE(bound, exact); }
-                if (bound < 0) { ASSERT_GE(bound, exact); }
+                if (bound > 0) {
+                    ASSERT_LE(bound, exact);
+                }
+                if (bound < 0) {
+                    ASSERT_GE(bound, exact);
+                }
                 // Not needlessly loose: two blocks and a pixel at most.
-                if (std::fabs(exact) > 2 * kernel::kBlock_px * 1.4143 + 2) { ASSERT_GT(std::fabs(bound), std::fabs(exact) - 2 * kernel::kBlock_px * 1.4143 - 2); }
+                if (std::fabs(exact) > 2 * kernel::kBlock_px * 1.4143 + 2) {
+                    ASSERT_GT(std::fabs(bound), std::fabs(exact) - 2 * kernel::kBlock_px * 1.4143 - 2);
+                }
             }
     }
 }
@@ -226,8 +234,12 @@ TEST(Distance, BoundsBeyondTheWindowHold) {
     for (int y = 0; y < 700; y += 3)
         for (int x = 0; x < 900; x += 3) {
             const double bound = kernel::distance_bound_px(view, static_cast<float>(x) + 0.5f, static_cast<float>(y) + 0.5f, 400), exact = whole.at(x, y);
-            if (bound > 0) { ASSERT_LE(bound, exact + 1.0 / 64) << x << " " << y; }
-            if (bound < 0) { ASSERT_GE(bound, exact - 1.0 / 64) << x << " " << y; }
+            if (bound > 0) {
+                ASSERT_LE(bound, exact + 1.0 / 64) << x << " " << y;
+            }
+            if (bound < 0) {
+                ASSERT_GE(bound, exact - 1.0 / 64) << x << " " << y;
+            }
         }
 }
 

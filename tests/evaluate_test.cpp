@@ -79,7 +79,8 @@ TEST(Evaluate, DistancesEqualBruteForce) {
             Vec3d v[3];
             for (size_t c = 0; c < 3; ++c) v[c] = Vec3d(soup.vertices[t[c]][0], soup.vertices[t[c]][1], soup.vertices[t[c]][2]);
             for (int i = 0; i <= 400; ++i)
-                for (int j = 0; j <= 400 - i; ++j) best = std::min(best, (v[0] + i / 400.0 * (v[1] - v[0]) + j / 400.0 * (v[2] - v[0]) - Vec3d(p[0], p[1], p[2])).norm());
+                for (int j = 0; j <= 400 - i; ++j)
+                    best = std::min(best, (v[0] + i / 400.0 * (v[1] - v[0]) + j / 400.0 * (v[2] - v[0]) - Vec3d(p[0], p[1], p[2])).norm());
         }
         EXPECT_NEAR(evaluate(point, soup, o, quiet).to_truth.max, best, 5e-3);
     }

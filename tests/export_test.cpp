@@ -118,7 +118,12 @@ TEST(Frames, VolumesAndMeshesCoincide) {
     const openvdb::FloatGrid::Ptr sheared = surface->deepCopy();
     sheared->setTransform(openvdb::math::Transform::createLinearTransform(openvdb::Mat4R(1., 0.2, 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.)));
     // OpenVDB takes no voxels of less than 14 micrometres where a metre is the unit.
-    EXPECT_NE(error_of(ExitCode::Output, [&] { in_frame(openvdb::GridBase::ConstPtr(surface), file_frame(".vdb", {"y", "mm", Dcc::Blender, false})); }).find("too small"), std::string::npos);
+    EXPECT_NE(error_of(ExitCode::Output,
+                       [&] {
+                           in_frame(openvdb::GridBase::ConstPtr(surface), file_frame(".vdb", {"y", "mm", Dcc::Blender, false}));
+                       })
+                  .find("too small"),
+              std::string::npos);
     error_of(ExitCode::Input, [&] { in_frame(openvdb::GridBase::ConstPtr(sheared), file_frame(".vdb", {"y", "cm", Dcc::Blender, false})); });
 }
 
@@ -129,7 +134,8 @@ Mesh colored_mesh() {
     o.normals = true;
     Mesh mesh = extract_mesh(*odd_shape(), o, quiet);
     std::mt19937 random(1);
-    for (size_t v = 0; v < mesh.vertices.size(); ++v) mesh.colors.push_back({static_cast<float>(random() % 1001) / 1000, static_cast<float>(random() % 100) / 5000, 1.f});
+    for (size_t v = 0; v < mesh.vertices.size(); ++v)
+        mesh.colors.push_back({static_cast<float>(random() % 1001) / 1000, static_cast<float>(random() % 100) / 5000, 1.f});
     return mesh;
 }
 
@@ -262,7 +268,8 @@ TEST(Nvdb, HoldsColoursAndCountsToo) {
     }
 }
 
-// A level ring 20 degrees up around a cylinder: the flat top bulges by R tan 20 degrees, the bottom downwards likewise, and the contours know where the top ends.
+// A level ring 20 degrees up around a cylinder: the flat top bulges by R tan 20 degrees, the bottom downwards likewise, and the contours know where the top
+// ends.
 TEST(Caps, WhatOnlyConesBoundIsNamedAndCutOff) {
     SyntheticSpec spec = small_spec("boxes", 24, 320, 240);
     spec.rig.elevation_deg = 20;

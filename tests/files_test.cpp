@@ -126,7 +126,9 @@ TEST(LevelSet, IsTheDistanceToAPlaneAndABall) {
     openvdb::initialize();
     Progress quiet;
     const openvdb::Vec3d normal = openvdb::Vec3d(1, 2, -2) / 3;
-    const auto exact_at = [&](bool ball, const openvdb::Coord& c) { return ball ? (c.asVec3d() - openvdb::Vec3d(0.3, -0.2, 0.1)).length() - 20.4 : normal.dot(c.asVec3d()) - 0.37; };
+    const auto exact_at = [&](bool ball, const openvdb::Coord& c) {
+        return ball ? (c.asVec3d() - openvdb::Vec3d(0.3, -0.2, 0.1)).length() - 20.4 : normal.dot(c.asVec3d()) - 0.37;
+    };
     for (const bool ball : {false, true}) {
         const auto grid = openvdb::FloatGrid::create(3.f);
         grid->setGridClass(openvdb::GRID_LEVEL_SET);

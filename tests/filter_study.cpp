@@ -29,7 +29,7 @@ Progress quiet;
 struct Shape {
     std::string name;
     FloatGrid::Ptr distances;
-    std::vector<Vec3d> edges, corners;              ///< points of the true shape's
+    std::vector<Vec3d> edges, corners;               ///< points of the true shape's
     std::function<Vec3d(const Vec3d&)> true_normal;  ///< near a point of the surface
     std::function<double(const Vec3d&)> error;       ///< distance of a point to the true surface
     double volume = 0;
@@ -205,8 +205,9 @@ void judge(const Shape& shape, const char* kind, const FloatGrid& from, const ch
         distance += n.norm() * shape.error(middle);
         area += n.norm();
     }
-    std::printf("| %s | %s | %s | %+.3f | %+.3f | %+.3f | %.2f | %.2f | %.2f | %.3f | %.0f |\n", shape.name.c_str(), kind, name, 100 * before, 100 * (measure(mesh).volume / volume - 1),
-                100 * (measure(mesh).volume / shape.volume - 1), mean_distance(shape.edges), mean_distance(shape.corners), std::sqrt(angle2 / area), distance / area, 1e3 * seconds);
+    std::printf("| %s | %s | %s | %+.3f | %+.3f | %+.3f | %.2f | %.2f | %.2f | %.3f | %.0f |\n", shape.name.c_str(), kind, name, 100 * before,
+                100 * (measure(mesh).volume / volume - 1), 100 * (measure(mesh).volume / shape.volume - 1), mean_distance(shape.edges),
+                mean_distance(shape.corners), std::sqrt(angle2 / area), distance / area, 1e3 * seconds);
     std::fflush(stdout);
 }
 
@@ -218,15 +219,17 @@ int main(int count, char** words) {
     openvdb::initialize();
     std::vector<Shape> shapes{sphere(10), sphere(20), sphere(35), sphere(50), cube(60, false), cube(60, true)};
     if (count > 1) shapes.push_back(solid(words[1]));
-    std::printf("| shape | from | filter | volume %%, filtered | repaired | against truth | edge recession, voxels | corner | normals rms, degrees | distance mean, voxels | ms |\n|---|---|---|---|---|---|---|---|---|---|---|\n");
+    std::printf(
+        "| shape | from | filter | volume %%, filtered | repaired | against truth | edge recession, voxels | corner | normals rms, degrees | distance mean, "
+        "voxels | ms |\n|---|---|---|---|---|---|---|---|---|---|---|\n");
     using Filter = openvdb::tools::LevelSetFilter<FloatGrid>;
     for (const Shape& s : shapes)
         for (const bool bits : {false, true}) {
             const FloatGrid::Ptr from = bits ? as_bits(*s.distances) : s.distances;
             const char* kind = bits ? "bits" : "distances";
             judge(s, kind, *from, "none", [](FloatGrid::Ptr g, double&) { return g; });
-            for (const char* chain : {"median:1", "median:1x4", "median:2", "mean-curvature:1x2", "laplacian:1", "laplacian:1x2", "laplacian:1x8", "gaussian:1", "edge-preserving:2", "edge-preserving:2x2", "edge-preserving:2x4",
-                                      "median:1,edge-preserving:2x2"})
+            for (const char* chain : {"median:1", "median:1x4", "median:2", "mean-curvature:1x2", "laplacian:1", "laplacian:1x2", "laplacian:1x8", "gaussian:1",
+                                      "edge-preserving:2", "edge-preserving:2x2", "edge-preserving:2x4", "median:1,edge-preserving:2x2"})
                 judge(s, kind, *from, chain, ours(chain));
             judge(s, kind, *from, "re-distanced alone", [](FloatGrid::Ptr g, double&) { return level_set(g, {}, quiet); });
             judge(s, kind, *from, "LevelSetFilter median(1)", theirs([](Filter& f, const FloatGrid&) { f.median(1); }));

@@ -52,12 +52,15 @@ FilterResult filtered(const FloatGrid& grid, const std::string& chain, const std
 TEST(Filters, AreReadAndWritten) {
     EXPECT_TRUE(parse_filters("none").empty());
     EXPECT_EQ(parse_filters("median"), (std::vector<FilterStep>{{FilterKind::Median, 1, 1}}));
-    EXPECT_EQ(parse_filters("median:2,laplacian:1x2,edge-preserving"), (std::vector<FilterStep>{{FilterKind::Median, 2, 1}, {FilterKind::Laplacian, 1, 2}, {FilterKind::EdgePreserving, 2, 1}}));
+    EXPECT_EQ(parse_filters("median:2,laplacian:1x2,edge-preserving"),
+              (std::vector<FilterStep>{{FilterKind::Median, 2, 1}, {FilterKind::Laplacian, 1, 2}, {FilterKind::EdgePreserving, 2, 1}}));
     EXPECT_EQ(parse_filters("gaussianx3"), (std::vector<FilterStep>{{FilterKind::Gaussian, 1, 3}}));
     for (const char* text : {"median:1x1", "mean-curvature:1x7,gaussian:4x2", "edge-preserving:1x2"}) EXPECT_EQ(filters_text(parse_filters(text)), text);
     EXPECT_EQ(filters_text({}), "none");
-    const std::pair<const char*, const char*> wrong[] = {{"", "is no filter"},      {"blur", "'blur' is no filter"},      {"median:", "no whole number"},        {"median:3", "1..2 voxels, not 3"}, {"median:1x0", "0 iterations"},
-                                                        {"median,", "is no filter"}, {"none,median", "'none' is no filter"}, {"laplacian:2", "a width of 1 voxel"}, {"gaussian:9", "not 9"},           {"median:1.5", "no whole number"}};
+    const std::pair<const char*, const char*> wrong[] = {
+        {"", "is no filter"},           {"blur", "'blur' is no filter"},  {"median:", "no whole number"},         {"median:3", "1..2 voxels, not 3"},
+        {"median:1x0", "0 iterations"}, {"median,", "is no filter"},      {"none,median", "'none' is no filter"}, {"laplacian:2", "a width of 1 voxel"},
+        {"gaussian:9", "not 9"},        {"median:1.5", "no whole number"}};
     for (const auto& [text, part] : wrong) EXPECT_NE(error_of(ExitCode::Usage, [&] { parse_filters(text); }).find(part), std::string::npos) << text;
 }
 
@@ -68,14 +71,16 @@ TEST(Filters, PassesAreWhatTheySay) {
     for (const bool smooth : {false, true}) {
         for (size_t n = 0; n < halo.size(); ++n) {
             const double x = static_cast<double>(n / 256), y = static_cast<double>(n / 16 % 16), z = static_cast<double>(n % 16);
-            halo[n] = static_cast<float>(static_cast<double>(random() % 60001) / 10000 - 3) * (smooth ? 0.05f : 1.f) + (smooth ? static_cast<float>(0.5 * (x - 7.3) + 0.7 * (y - 8.1) - 0.5 * (z - 7.9)) : 0.f);
+            halo[n] = static_cast<float>(static_cast<double>(random() % 60001) / 10000 - 3) * (smooth ? 0.05f : 1.f) +
+                      (smooth ? static_cast<float>(0.5 * (x - 7.3) + 0.7 * (y - 8.1) - 0.5 * (z - 7.9)) : 0.f);
             halo[n] = std::clamp(halo[n], -3.f, 3.f);
         }
         const auto at = [&](int i, int j, int k) { return halo[static_cast<size_t>(((i + 4) * 16 + j + 4) * 16 + k + 4)]; };
         const auto each = [&](const FilterPass& pass, const auto& expected, double tolerance) {
             std::vector<float> first;
             for (const VectorLoops* loops : all_vector_loops()) {
-                SCOPED_TRACE(std::string(loops->name) + ", pass " + std::to_string(pass.kind) + ", width " + std::to_string(pass.width) + ", axis " + std::to_string(pass.axis));
+                SCOPED_TRACE(std::string(loops->name) + ", pass " + std::to_string(pass.kind) + ", width " + std::to_string(pass.width) + ", axis " +
+                             std::to_string(pass.axis));
                 std::vector<float> out(kLeafVoxels);
                 loops->filter_leaf(pass, halo.data(), 3.f, out.data());
                 if (first.empty()) first = out;
@@ -84,72 +89,86 @@ TEST(Filters, PassesAreWhatTheySay) {
             }
         };
         for (const int w : {1, 2})
-            each({FilterPass::Median, w, 0},
-                 [&](int i, int j, int k) {
-                     std::vector<float> v;
-                     for (int a = -w; a <= w; ++a)
-                         for (int b = -w; b <= w; ++b)
-                             for (int c = -w; c <= w; ++c) v.push_back(at(i + a, j + b, k + c));
-                     std::nth_element(v.begin(), v.begin() + static_cast<long>(v.size() / 2), v.end());
-                     return v[v.size() / 2];
-                 },
-                 0);
+            each(
+                {FilterPass::Median, w, 0},
+                [&](int i, int j, int k) {
+                    std::vector<float> v;
+                    for (int a = -w; a <= w; ++a)
+                        for (int b = -w; b <= w; ++b)
+                            for (int c = -w; c <= w; ++c) v.push_back(at(i + a, j + b, k + c));
+                    std::nth_element(v.begin(), v.begin() + static_cast<long>(v.size() / 2), v.end());
+                    return v[v.size() / 2];
+                },
+                0);
         for (const int w : {1, 2, 4})
             for (int axis = 0; axis < 3; ++axis) {
                 const auto along = [&](int i, int j, int k, int n) { return at(i + (axis == 0) * n, j + (axis == 1) * n, k + (axis == 2) * n); };
-                each({FilterPass::Box, w, axis},
-                     [&](int i, int j, int k) {
-                         double sum = 0;
-                         for (int n = -w; n <= w; ++n) sum += along(i, j, k, n);
-                         return sum / (2 * w + 1);
-                     },
-                     2e-6);
-                each({FilterPass::Least, w, axis},
-                     [&](int i, int j, int k) {
-                         float least = 9;
-                         for (int n = -w; n <= w; ++n) least = std::min(least, along(i, j, k, n));
-                         return least;
-                     },
-                     0);
+                each(
+                    {FilterPass::Box, w, axis},
+                    [&](int i, int j, int k) {
+                        double sum = 0;
+                        for (int n = -w; n <= w; ++n) sum += along(i, j, k, n);
+                        return sum / (2 * w + 1);
+                    },
+                    2e-6);
+                each(
+                    {FilterPass::Least, w, axis},
+                    [&](int i, int j, int k) {
+                        float least = 9;
+                        for (int n = -w; n <= w; ++n) least = std::min(least, along(i, j, k, n));
+                        return least;
+                    },
+                    0);
             }
-        each({FilterPass::MeanOfSix, 1, 0}, [&](int i, int j, int k) { return (at(i - 1, j, k) + at(i + 1, j, k) + at(i, j - 1, k) + at(i, j + 1, k) + at(i, j, k - 1) + at(i, j, k + 1)) / 6.0; }, 2e-6);
-        each({FilterPass::MeanCurvature, 1, 0},
-             [&](int i, int j, int k) {
-                 // div(grad / |grad|) |grad| = Laplacian - n^T Hessian n.
-                 const Vec3d g(0.5 * (at(i + 1, j, k) - at(i - 1, j, k)), 0.5 * (at(i, j + 1, k) - at(i, j - 1, k)), 0.5 * (at(i, j, k + 1) - at(i, j, k - 1)));
-                 Mat3d h;
-                 for (int a = 0; a < 3; ++a)
-                     for (int b = 0; b < 3; ++b) {
-                         const auto step = [&](int s, int t) { return static_cast<double>(at(i + s * (a == 0) + t * (b == 0), j + s * (a == 1) + t * (b == 1), k + s * (a == 2) + t * (b == 2))); };
-                         h(a, b) = a == b ? at(i + (a == 0), j + (a == 1), k + (a == 2)) + at(i - (a == 0), j - (a == 1), k - (a == 2)) - 2.0 * at(i, j, k) : 0.25 * (step(1, 1) + step(-1, -1) - step(1, -1) - step(-1, 1));
-                     }
-                 return g.norm() == 0 ? static_cast<double>(at(i, j, k)) : at(i, j, k) + (h.trace() - g.dot(h * g) / g.squaredNorm()) / 6;
-             },
-             2e-5);
+        each(
+            {FilterPass::MeanOfSix, 1, 0},
+            [&](int i, int j, int k) {
+                return (at(i - 1, j, k) + at(i + 1, j, k) + at(i, j - 1, k) + at(i, j + 1, k) + at(i, j, k - 1) + at(i, j, k + 1)) / 6.0;
+            },
+            2e-6);
+        each(
+            {FilterPass::MeanCurvature, 1, 0},
+            [&](int i, int j, int k) {
+                // div(grad / |grad|) |grad| = Laplacian - n^T Hessian n.
+                const Vec3d g(0.5 * (at(i + 1, j, k) - at(i - 1, j, k)), 0.5 * (at(i, j + 1, k) - at(i, j - 1, k)), 0.5 * (at(i, j, k + 1) - at(i, j, k - 1)));
+                Mat3d h;
+                for (int a = 0; a < 3; ++a)
+                    for (int b = 0; b < 3; ++b) {
+                        const auto step = [&](int s, int t) {
+                            return static_cast<double>(at(i + s * (a == 0) + t * (b == 0), j + s * (a == 1) + t * (b == 1), k + s * (a == 2) + t * (b == 2)));
+                        };
+                        h(a, b) = a == b ? at(i + (a == 0), j + (a == 1), k + (a == 2)) + at(i - (a == 0), j - (a == 1), k - (a == 2)) - 2.0 * at(i, j, k)
+                                         : 0.25 * (step(1, 1) + step(-1, -1) - step(1, -1) - step(-1, 1));
+                    }
+                return g.norm() == 0 ? static_cast<double>(at(i, j, k)) : at(i, j, k) + (h.trace() - g.dot(h * g) / g.squaredNorm()) / 6;
+            },
+            2e-5);
         for (const int w : {1, 2})
-            each({FilterPass::EdgePreserving, w, 0},
-                 [&](int i, int j, int k) {
-                     const auto normal = [&](int a, int b, int c) -> Vec3d {
-                         const Vec3d g(at(a + 1, b, c) - at(a - 1, b, c), at(a, b + 1, c) - at(a, b - 1, c), at(a, b, c + 1) - at(a, b, c - 1));
-                         return g / std::max(g.norm(), 1e-6);
-                     };
-                     const Vec3d mine = normal(i, j, k);
-                     double sum = at(i, j, k), weights = 1;
-                     if (std::fabs(at(i, j, k)) >= 3) return sum;
-                     for (int a = -w; a <= w; ++a)
-                         for (int b = -w; b <= w; ++b)
-                             for (int c = -w; c <= w; ++c) {
-                                 if (!a && !b && !c) continue;
-                                 const Vec3d other = normal(i + a, j + b, k + c), d(a, b, c);
-                                 const double cosine = std::cos(40 * 3.14159265358979 / 180), same = std::max(0.0, (mine.dot(other) - cosine) / (1 - cosine)), near = 1 - d.squaredNorm() / (3 * w * w + 2);
-                                 const double value = at(i + a, j + b, k + c);
-                                 const double weight = std::fabs(value) < 3 ? same * same * near * near : 0;
-                                 sum += weight * (value - 0.5 * (mine + other).dot(d));
-                                 weights += weight;
-                             }
-                     return sum / weights;
-                 },
-                 2e-4);
+            each(
+                {FilterPass::EdgePreserving, w, 0},
+                [&](int i, int j, int k) {
+                    const auto normal = [&](int a, int b, int c) -> Vec3d {
+                        const Vec3d g(at(a + 1, b, c) - at(a - 1, b, c), at(a, b + 1, c) - at(a, b - 1, c), at(a, b, c + 1) - at(a, b, c - 1));
+                        return g / std::max(g.norm(), 1e-6);
+                    };
+                    const Vec3d mine = normal(i, j, k);
+                    double sum = at(i, j, k), weights = 1;
+                    if (std::fabs(at(i, j, k)) >= 3) return sum;
+                    for (int a = -w; a <= w; ++a)
+                        for (int b = -w; b <= w; ++b)
+                            for (int c = -w; c <= w; ++c) {
+                                if (!a && !b && !c) continue;
+                                const Vec3d other = normal(i + a, j + b, k + c), d(a, b, c);
+                                const double cosine = std::cos(40 * 3.14159265358979 / 180), same = std::max(0.0, (mine.dot(other) - cosine) / (1 - cosine)),
+                                             near = 1 - d.squaredNorm() / (3 * w * w + 2);
+                                const double value = at(i + a, j + b, k + c);
+                                const double weight = std::fabs(value) < 3 ? same * same * near * near : 0;
+                                sum += weight * (value - 0.5 * (mine + other).dot(d));
+                                weights += weight;
+                            }
+                    return sum / weights;
+                },
+                2e-4);
     }
 }
 
@@ -185,36 +204,36 @@ TEST(Filters, EdgePreservingKeepsEdgesAndRoundParts) {
     }
     const double h = 30;
     for (const bool tilted : {false, true}) {
-    const Mat3d turn = tilted ? turned(Vec3d(25, 20, 10)) : Mat3d(Mat3d::Identity());
-    const Vec3d centre = tilted ? Vec3d::Zero() : Vec3d(0.5, 0.5, 0.5);  // faces midway between samples
-    const auto grid = sample(
-        [&](const Vec3d& x) {
-            const Vec3d q = (turn.transpose() * (x - centre)).cwiseAbs() - Vec3d::Constant(h);
-            return q.cwiseMax(0).norm() + std::min(q.maxCoeff(), 0.0);
-        },
-        60);
-    const auto recession = [&](const std::string& chain) {
-        Progress quiet;
-        const TriangleTree tree(extract_mesh(chain == "none" ? *grid : *filtered(*grid, chain).surface, {}, quiet));
-        double sum = 0;
-        int count = 0;
-        for (int axis = 0; axis < 3; ++axis)
-            for (int n = 0; n < 4; ++n)
-                for (double t = -0.8 * h; t <= 0.8 * h; t += 2.7, ++count) {
-                    Vec3d p;
-                    p[axis] = t;
-                    p[(axis + 1) % 3] = n & 1 ? h : -h;
-                    p[(axis + 2) % 3] = n & 2 ? h : -h;
-                    sum += tree.nearest(turn * p + centre).distance;
-                }
-        return sum / count;
-    };
-    const double untouched = recession("none"), edges = recession("edge-preserving:2x2"), gaussian = recession("gaussian:1");
-    SCOPED_TRACE(tilted ? "tilted" : "straight");
-    std::printf("edges recede by %.3f voxels untouched, %.3f edge-preserving, %.3f gaussian\n", untouched, edges, gaussian);
-    // The mesher alone takes the first; edges that lie between samples take half a voxel at most in all.
-    EXPECT_LE(edges, tilted ? untouched + 0.2 : 0.5);
-    EXPECT_GT(gaussian, 1.0);
+        const Mat3d turn = tilted ? turned(Vec3d(25, 20, 10)) : Mat3d(Mat3d::Identity());
+        const Vec3d centre = tilted ? Vec3d::Zero() : Vec3d(0.5, 0.5, 0.5);  // faces midway between samples
+        const auto grid = sample(
+            [&](const Vec3d& x) {
+                const Vec3d q = (turn.transpose() * (x - centre)).cwiseAbs() - Vec3d::Constant(h);
+                return q.cwiseMax(0).norm() + std::min(q.maxCoeff(), 0.0);
+            },
+            60);
+        const auto recession = [&](const std::string& chain) {
+            Progress quiet;
+            const TriangleTree tree(extract_mesh(chain == "none" ? *grid : *filtered(*grid, chain).surface, {}, quiet));
+            double sum = 0;
+            int count = 0;
+            for (int axis = 0; axis < 3; ++axis)
+                for (int n = 0; n < 4; ++n)
+                    for (double t = -0.8 * h; t <= 0.8 * h; t += 2.7, ++count) {
+                        Vec3d p;
+                        p[axis] = t;
+                        p[(axis + 1) % 3] = n & 1 ? h : -h;
+                        p[(axis + 2) % 3] = n & 2 ? h : -h;
+                        sum += tree.nearest(turn * p + centre).distance;
+                    }
+            return sum / count;
+        };
+        const double untouched = recession("none"), edges = recession("edge-preserving:2x2"), gaussian = recession("gaussian:1");
+        SCOPED_TRACE(tilted ? "tilted" : "straight");
+        std::printf("edges recede by %.3f voxels untouched, %.3f edge-preserving, %.3f gaussian\n", untouched, edges, gaussian);
+        // The mesher alone takes the first; edges that lie between samples take half a voxel at most in all.
+        EXPECT_LE(edges, tilted ? untouched + 0.2 : 0.5);
+        EXPECT_GT(gaussian, 1.0);
     }
 }
 
@@ -287,7 +306,8 @@ TEST(Filters, PiecesAreThoseOfAFloodFill) {
             double r;
         };
         std::vector<Ball> balls;
-        for (int n = 0; n < 14; ++n) balls.push_back({Vec3d(random() % 120, random() % 120, random() % 120) - Vec3d::Constant(60), 1.2 + random() % (n ? 12 : 40)});
+        for (int n = 0; n < 14; ++n)
+            balls.push_back({Vec3d(random() % 120, random() % 120, random() % 120) - Vec3d::Constant(60), 1.2 + random() % (n ? 12 : 40)});
         const auto grid = sample(
             [&](const Vec3d& x) {
                 double d = 99;
@@ -299,7 +319,8 @@ TEST(Filters, PiecesAreThoseOfAFloodFill) {
         std::vector<double> expected;
         auto access = grid->getConstAccessor();
         for (const Ball& b : balls) {
-            std::vector<openvdb::Coord> open{openvdb::Coord(static_cast<int>(std::lround(b.c.x())), static_cast<int>(std::lround(b.c.y())), static_cast<int>(std::lround(b.c.z())))};
+            std::vector<openvdb::Coord> open{
+                openvdb::Coord(static_cast<int>(std::lround(b.c.x())), static_cast<int>(std::lround(b.c.y())), static_cast<int>(std::lround(b.c.z())))};
             double count = 0;
             while (!open.empty()) {
                 const openvdb::Coord c = open.back();
@@ -373,7 +394,9 @@ TEST(Filters, SameBitsForAnyNumberOfThreads) {
 
 TEST(Filters, WhatCannotBeDoneIsSaid) {
     const auto small = ball(2.2);
-    EXPECT_NE(error_of(ExitCode::Contradiction, [&] { filtered(*small, "gaussian:3x4", [](FilterOptions& o) { o.keep_thin_vox = 0; }); }).find("leaves nothing"), std::string::npos);
+    EXPECT_NE(
+        error_of(ExitCode::Contradiction, [&] { filtered(*small, "gaussian:3x4", [](FilterOptions& o) { o.keep_thin_vox = 0; }); }).find("leaves nothing"),
+        std::string::npos);
     EXPECT_NE(error_of(ExitCode::Usage, [&] { filtered(*small, "median", [](FilterOptions& o) { o.keep_thin_vox = 5; }); }).find("0..4.5"), std::string::npos);
     const auto fog = density_of(*small);
     EXPECT_NE(error_of(ExitCode::Input, [&] { filtered(*fog, "median"); }).find("no level set"), std::string::npos);

@@ -82,7 +82,8 @@ Mask random_mask(int width, int height, uint32_t seed, bool soft, bool ignores) 
     Mask out;
     out.coverage = Image8(width, height);
     for (int blob = 0; blob < 4; ++blob) {
-        const double cx = static_cast<double>(random() % static_cast<unsigned>(width)), cy = static_cast<double>(random() % static_cast<unsigned>(height)), r = 3 + random() % 20;
+        const double cx = static_cast<double>(random() % static_cast<unsigned>(width)), cy = static_cast<double>(random() % static_cast<unsigned>(height)),
+                     r = 3 + random() % 20;
         for (int y = 0; y < height; ++y)
             for (int x = 0; x < width; ++x) {
                 const double c = std::clamp(r - std::hypot(x - cx, y - cy) + 0.5, 0.0, 1.0);
@@ -100,7 +101,8 @@ Mask random_mask(int width, int height, uint32_t seed, bool soft, bool ignores) 
 
 TEST_F(Gpu, DistanceFieldsEqualTheCpus) {
     std::vector<Mask> masks;
-    for (uint32_t seed = 0; seed < 12; ++seed) masks.push_back(random_mask(33 + 29 * static_cast<int>(seed), 140 - 9 * static_cast<int>(seed), seed, seed % 2, seed % 3 == 2));
+    for (uint32_t seed = 0; seed < 12; ++seed)
+        masks.push_back(random_mask(33 + 29 * static_cast<int>(seed), 140 - 9 * static_cast<int>(seed), seed, seed % 2, seed % 3 == 2));
     masks.push_back({Image8(40, 30), {}});
     masks.push_back({Image8(40, 30, 1, 255), {}});
     masks.push_back(random_mask(1024, 768, 99, true, false));
@@ -266,7 +268,8 @@ TEST_F(Gpu, FiltersEqualTheCpus) {
     }
     DevicePipeline device;
     for (size_t n = 0; n < surfaces.size(); ++n)
-        for (const char* chain : {"median:1", "median:2", "laplacian:1x3", "mean-curvature:1x2", "gaussian:1", "gaussian:4", "edge-preserving:1", "edge-preserving:2x2", "median:1,laplacian:1x2,edge-preserving:2"})
+        for (const char* chain : {"median:1", "median:2", "laplacian:1x3", "mean-curvature:1x2", "gaussian:1", "gaussian:4", "edge-preserving:1",
+                                  "edge-preserving:2x2", "median:1,laplacian:1x2,edge-preserving:2"})
             for (const double keep_thin : {0.0, 2.5, 4.0})
                 for (const bool repair : {true, false}) {
                     SCOPED_TRACE("surface " + std::to_string(n) + ", " + chain + ", keep-thin " + std::to_string(keep_thin) + (repair ? ", repaired" : ""));
@@ -402,17 +405,41 @@ const std::vector<ColorCase>& color_cases() {
     static const std::vector<ColorCase> all{
         {"blend", [] { return colored("cup", 14, 80); }, [](ColorOptions&) {}},
         {"best", [] { return colored("cup", 14, 80); }, [](ColorOptions& o) { o.mode = ColorMode::Best; }},
-        {"paper", [] { return colored("boxes", 9, 64); }, [](ColorOptions& o) { o.mode = ColorMode::Best; o.skip_upright = true; o.test_occlusion = false; o.exposure = false; }},
+        {"paper", [] { return colored("boxes", 9, 64); },
+         [](ColorOptions& o) {
+             o.mode = ColorMode::Best;
+             o.skip_upright = true;
+             o.test_occlusion = false;
+             o.exposure = false;
+         }},
         {"pair", [] { return colored("pair", 24, 96); }, [](ColorOptions& o) { o.exposure_options.per_channel = true; }},
         {"batches", [] { return colored("ellipsoids", 17, 64); }, [](ColorOptions& o) { o.batch = 5; }},
-        {"best_in_batches", [] { return colored("ellipsoids", 17, 64); }, [](ColorOptions& o) { o.batch = 1; o.mode = ColorMode::Best; }},
-        {"many_views", [] { return colored("ellipsoids", 90, 40, [](SyntheticSpec& s) { s.rig.width_px = 96; s.rig.height_px = 72; }); }, [](ColorOptions&) {}},
+        {"best_in_batches", [] { return colored("ellipsoids", 17, 64); },
+         [](ColorOptions& o) {
+             o.batch = 1;
+             o.mode = ColorMode::Best;
+         }},
+        {"many_views",
+         [] {
+             return colored("ellipsoids", 90, 40, [](SyntheticSpec& s) {
+                 s.rig.width_px = 96;
+                 s.rig.height_px = 72;
+             });
+         },
+         [](ColorOptions&) {}},
         {"orthographic", [] { return colored("boxes", 10, 64, [](SyntheticSpec& s) { s.rig.orthographic = true; }); }, [](ColorOptions&) {}},
         {"windowed_normals", [] { return colored("torus", 10, 64); }, [](ColorOptions& o) { o.normal_radius_vox = 3; }},
         {"shallow", [] { return colored("torus", 10, 64); }, [](ColorOptions& o) { o.depth_vox = 1; }},
         {"deep", [] { return colored("torus", 10, 64); }, [](ColorOptions& o) { o.depth_vox = 7; }},
         {"two_views", [] { return colored("ellipsoids", 2, 64, [](SyntheticSpec& s) { s.rig.arc_deg = 180; }); }, [](ColorOptions&) {}},
-        {"fine_photographs", [] { return colored("ellipsoids", 8, 40, [](SyntheticSpec& s) { s.rig.width_px = 640; s.rig.height_px = 480; }); }, [](ColorOptions&) {}},
+        {"fine_photographs",
+         [] {
+             return colored("ellipsoids", 8, 40, [](SyntheticSpec& s) {
+                 s.rig.width_px = 640;
+                 s.rig.height_px = 480;
+             });
+         },
+         [](ColorOptions&) {}},
         {"odd_photographs", odd_photographs, [](ColorOptions&) {}},
         {"odd_photographs_one_by_one", odd_photographs, [](ColorOptions& o) { o.batch = 1; }},
         {"large", [] { return colored("cup", 12, 300); }, [](ColorOptions&) {}},
@@ -426,7 +453,9 @@ TEST_P(GpuColor, EqualsTheCpus) {
     const ColorScene s = GetParam().make();
     ColorOptions o;
     GetParam().change(o);
-    const PhotoSource source = [&](size_t first, size_t last) { return std::vector<Photo>(s.photos.begin() + static_cast<long>(first), s.photos.begin() + static_cast<long>(last)); };
+    const PhotoSource source = [&](size_t first, size_t last) {
+        return std::vector<Photo>(s.photos.begin() + static_cast<long>(first), s.photos.begin() + static_cast<long>(last));
+    };
     const auto run = [&](Backend backend) {
         o.backend = backend;
         return o.batch ? color_in_batches(*s.surface, s.inputs, source, o, quiet_) : color(*s.surface, s.inputs, o, quiet_);
@@ -483,7 +512,8 @@ TEST_F(Gpu, AnUnseenSurfaceIsExplainedAlike) {
 }
 
 TEST_F(Gpu, AnEmptyHullIsExplainedAlike) {
-    Shoot s = shoot(small_spec("ellipsoids", 8), [](SyntheticScene& scene) { std::fill(scene.masks[3].coverage.data.begin(), scene.masks[3].coverage.data.end(), uint8_t{0}); });
+    Shoot s = shoot(small_spec("ellipsoids", 8),
+                    [](SyntheticScene& scene) { std::fill(scene.masks[3].coverage.data.begin(), scene.masks[3].coverage.data.end(), uint8_t{0}); });
     CarveOptions o = options_for(s, 48);
     const std::string cpu = error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); });
     o.backend = Backend::Cuda;
@@ -576,11 +606,13 @@ TEST_F(Gpu, PackedScenesEqualTheCpus) {
                 const ColorResult cpu = color(*surface, scene.color_inputs(), c, quiet_);
                 const ColorResult gpu = device.color(*surface, scene.color_inputs(), {}, c, quiet_);
                 expect_same_colors(cpu, gpu);
-                std::printf("%s: %zu of %zu voxels of the contour seen\n", entry.path().filename().c_str(), cpu.statistics.colored, cpu.statistics.surface_voxels);
+                std::printf("%s: %zu of %zu voxels of the contour seen\n", entry.path().filename().c_str(), cpu.statistics.colored,
+                            cpu.statistics.surface_voxels);
             }
         expect_same_pictures(*surface, nullptr, 512);
         const MeshMeasures m = measure(mesh);
-        std::printf("%s: %u leaves, %zu vertices, manifold %d, volume %.9g\n", entry.path().filename().c_str(), surface->tree().leafCount(), m.vertices, m.manifold, m.volume);
+        std::printf("%s: %u leaves, %zu vertices, manifold %d, volume %.9g\n", entry.path().filename().c_str(), surface->tree().leafCount(), m.vertices,
+                    m.manifold, m.volume);
     }
 }
 

@@ -48,7 +48,8 @@ std::vector<uint8_t> with_segment(std::vector<uint8_t> jpeg, uint8_t marker, con
 
 /// Exif 2.3: a little-endian TIFF with one directory of one entry, Orientation (0x0112).
 std::vector<uint8_t> exif_with_orientation(int orientation) {
-    std::vector<uint8_t> out{'E', 'x', 'i', 'f', 0, 0, 'I', 'I', 42, 0, 8, 0, 0, 0, 1, 0, 0x12, 0x01, 3, 0, 1, 0, 0, 0, static_cast<uint8_t>(orientation), 0, 0, 0, 0, 0, 0, 0};
+    std::vector<uint8_t> out{'E', 'x', 'i', 'f', 0, 0, 'I', 'I', 42, 0, 8, 0, 0, 0, 1, 0, 0x12, 0x01, 3, 0, 1, 0, 0, 0, static_cast<uint8_t>(orientation),
+                             0,   0,   0,   0,   0, 0, 0};
     return out;
 }
 
@@ -84,7 +85,8 @@ std::vector<uint8_t> display_p3() {
 std::array<int, 3> srgb_of_p3(const std::array<int, 3>& p3) {
     // Columns solved from the primaries' chromaticities and D65 (IEC 61966-2-1, SMPTE EG 432-1).
     const Mat3d xyz_of_p3 = (Mat3d() << 0.48657095, 0.26566769, 0.19821729, 0.22897456, 0.69173852, 0.07928691, 0, 0.04511338, 1.04394437).finished();
-    const Mat3d srgb_of_xyz = (Mat3d() << 3.24096994, -1.53738318, -0.49861076, -0.96924364, 1.8759675, 0.04155506, 0.05563008, -0.20397696, 1.05697151).finished();
+    const Mat3d srgb_of_xyz =
+        (Mat3d() << 3.24096994, -1.53738318, -0.49861076, -0.96924364, 1.8759675, 0.04155506, 0.05563008, -0.20397696, 1.05697151).finished();
     const auto linear = [](double v) { return v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4); };
     const Vec3d light = srgb_of_xyz * xyz_of_p3 * Vec3d(linear(p3[0] / 255.0), linear(p3[1] / 255.0), linear(p3[2] / 255.0));
     std::array<int, 3> out;
@@ -174,7 +176,8 @@ TEST(Images, ColoursOfAProfileBecomeSrgb) {
         const Image8 read = io::read_photo8(file);
         for (size_t i = 0; i < colors.size(); ++i) {
             const auto expected = srgb_of_p3(colors[i]);
-            for (int c = 0; c < 3; ++c) EXPECT_NEAR(read.at(static_cast<int>(16 * i + 8), 8, c), expected[static_cast<size_t>(c)], tolerance) << file << " colour " << i;
+            for (int c = 0; c < 3; ++c)
+                EXPECT_NEAR(read.at(static_cast<int>(16 * i + 8), 8, c), expected[static_cast<size_t>(c)], tolerance) << file << " colour " << i;
         }
         EXPECT_NEAR(io::read_image8(file).at(8, 8, 0), 200, tolerance);  // a mask's numbers are no colours
     };
@@ -223,7 +226,8 @@ TEST(Images, ExifTurnsAsOpenCVTurns) {
 TEST(Images, PhonesHeldUprightGiveUprightViews) {
     TemporaryFolder folder;
     fs::create_directories(folder / "images");
-    for (int i = 0; i < 3; ++i) write_bytes(folder / ("images/" + std::to_string(i) + ".jpg"), with_segment(io::encode_jpeg(picture(), 95, 0), 0xE1, exif_with_orientation(6)));
+    for (int i = 0; i < 3; ++i)
+        write_bytes(folder / ("images/" + std::to_string(i) + ".jpg"), with_segment(io::encode_jpeg(picture(), 95, 0), 0xE1, exif_with_orientation(6)));
     ViewsOptions o;
     o.scene = folder.path();
     o.allow_unposed = true;
@@ -248,7 +252,8 @@ TEST(Images, PhonesHeldUprightGiveUprightViews) {
     write_text(folder / "cameras.json", cameras_json(views));
     EXPECT_EQ(load_views(o, quiet).views[0].orientation, 6);
     std::string text = cameras_json(views);
-    for (const auto& [from, to] : {std::pair<std::string, std::string>{"\"w\": 48", "\"w\": 64"}, {"\"h\": 64", "\"h\": 48"}, {"\"orientation\": 6", "\"orientation\": 1"}})
+    for (const auto& [from, to] :
+         {std::pair<std::string, std::string>{"\"w\": 48", "\"w\": 64"}, {"\"h\": 64", "\"h\": 48"}, {"\"orientation\": 6", "\"orientation\": 1"}})
         for (size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size()) text.replace(at, from.size(), to);
     write_text(folder / "cameras.json", text);
     EXPECT_EQ(load_views(o, quiet).views[0].orientation, 1);
@@ -257,7 +262,8 @@ TEST(Images, PhonesHeldUprightGiveUprightViews) {
 
 TEST(Images, ZoomAndSizesAreNoticed) {
     TemporaryFolder folder;
-    for (int i = 0; i < 6; ++i) write_bytes(folder / ("p" + std::to_string(i) + ".jpg"), io::encode_jpeg(i == 5 ? picture(128, 96) : picture(), 95, i == 2 ? 50 : 35));
+    for (int i = 0; i < 6; ++i)
+        write_bytes(folder / ("p" + std::to_string(i) + ".jpg"), io::encode_jpeg(i == 5 ? picture(128, 96) : picture(), 95, i == 2 ? 50 : 35));
     ViewsOptions o;
     o.scene = folder.path();
     o.allow_unposed = true;

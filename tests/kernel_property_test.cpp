@@ -63,13 +63,14 @@ Bench make_bench(bool ortho, Outside outside) {
     spec.rig.orthographic = ortho;
     spec.rig.fill = 1.2;
     spec.rig.pixel_aspect = 1.3;
-    Bench s{shoot(spec, [](SyntheticScene& scene) {
-                for (View& v : scene.views.views) v.camera.intrinsics.skew = 0.1 * v.camera.intrinsics.fx;
-                Mask& m = scene.masks[1];
-                m.ignore = Image8(m.coverage.width, m.coverage.height);
-                for (int y = 30; y < 70; ++y)
-                    for (int x = 10; x < 40; ++x) m.ignore.at(x, y) = 255;
-            }),
+    Bench s{shoot(spec,
+                  [](SyntheticScene& scene) {
+                      for (View& v : scene.views.views) v.camera.intrinsics.skew = 0.1 * v.camera.intrinsics.fx;
+                      Mask& m = scene.masks[1];
+                      m.ignore = Image8(m.coverage.width, m.coverage.height);
+                      for (int y = 30; y < 70; ++y)
+                          for (int x = 10; x < 40; ++x) m.ignore.at(x, y) = 255;
+                  }),
             {},
             {}};
     s.options = options_for(s.shoot_, 40);
@@ -92,7 +93,8 @@ TEST_P(NodeBounds, HoldAtEveryVoxel) {
         const int size = 8 << (n % 3);
         const double band = h * (n % 4);
         const double reach = n % 5 == 0 ? 200 : 60;
-        const int o[3] = {static_cast<int>(random(-reach, reach)) & ~7, static_cast<int>(random(-reach, reach)) & ~7, static_cast<int>(random(-reach, reach)) & ~7};
+        const int o[3] = {static_cast<int>(random(-reach, reach)) & ~7, static_cast<int>(random(-reach, reach)) & ~7,
+                          static_cast<int>(random(-reach, reach)) & ~7};
         const double half = 0.5 * (size - 1);
         const NodeAnswers a = node_answers(view, node_ball(view, o[0] + half, o[1] + half, o[2] + half, std::sqrt(3.0) * half * h), near_depth, band);
         decided += a.hull != NodeAnswer::Mixed;
@@ -102,19 +104,33 @@ TEST_P(NodeBounds, HoldAtEveryVoxel) {
         const float value_band = static_cast<float>(band > 0 ? band : h);
         for (int t = 0; t < 40; ++t) {
             // Corners first, then anywhere.
-            const int i = t < 8 ? (t & 1) * (size - 1) : static_cast<int>(random(0, size)), j = t < 8 ? (t >> 1 & 1) * (size - 1) : static_cast<int>(random(0, size)),
+            const int i = t < 8 ? (t & 1) * (size - 1) : static_cast<int>(random(0, size)),
+                      j = t < 8 ? (t >> 1 & 1) * (size - 1) : static_cast<int>(random(0, size)),
                       k = t < 8 ? (t >> 2) * (size - 1) : static_cast<int>(random(0, size));
-            const Vec3 p = voxel_in_camera(leaf_to_camera(view, (o[0] + i) & ~7, (o[1] + j) & ~7, (o[2] + k) & ~7), static_cast<float>((o[0] + i) & 7), static_cast<float>((o[1] + j) & 7), static_cast<float>((o[2] + k) & 7));
+            const Vec3 p = voxel_in_camera(leaf_to_camera(view, (o[0] + i) & ~7, (o[1] + j) & ~7, (o[2] + k) & ~7), static_cast<float>((o[0] + i) & 7),
+                                           static_cast<float>((o[1] + j) & 7), static_cast<float>((o[2] + k) & 7));
             if (band > 0) {
                 const float v = view_value(view, p, near_depth, value_band), e = unseen_value(view, p, near_depth, value_band);
-                if (a.hull == NodeAnswer::Out) { ASSERT_EQ(v, value_band); }
-                if (a.hull == NodeAnswer::In) { ASSERT_EQ(v, -value_band); }
-                if (a.unseen == NodeAnswer::Out) { ASSERT_EQ(e, value_band); }
-                if (a.unseen == NodeAnswer::In) { ASSERT_EQ(e, -value_band); }
+                if (a.hull == NodeAnswer::Out) {
+                    ASSERT_EQ(v, value_band);
+                }
+                if (a.hull == NodeAnswer::In) {
+                    ASSERT_EQ(v, -value_band);
+                }
+                if (a.unseen == NodeAnswer::Out) {
+                    ASSERT_EQ(e, value_band);
+                }
+                if (a.unseen == NodeAnswer::In) {
+                    ASSERT_EQ(e, -value_band);
+                }
             } else {
                 const BinaryAnswer b = binary_answer(view, p, near_depth);
-                if (a.hull != NodeAnswer::Mixed) { ASSERT_EQ(b.background, a.hull == NodeAnswer::Out); }
-                if (a.unseen != NodeAnswer::Mixed) { ASSERT_EQ(b.seen, a.unseen == NodeAnswer::In); }
+                if (a.hull != NodeAnswer::Mixed) {
+                    ASSERT_EQ(b.background, a.hull == NodeAnswer::Out);
+                }
+                if (a.unseen != NodeAnswer::Mixed) {
+                    ASSERT_EQ(b.seen, a.unseen == NodeAnswer::In);
+                }
             }
         }
     }
@@ -135,8 +151,11 @@ TEST(ViewValue, IsContinuousInSign) {
         const float h = static_cast<float>(s.options.lattice.voxel_size), band = 3 * h, near_depth = kNearPlane_vox * h;
         for (int n = 0; n < 300000; ++n) {
             const CarveView& view = s.views[static_cast<size_t>(n) % s.views.size()];
-            const Vec3d p(random(-4, 4), random(-4, 4), n % 3 ? random(-0.5, 6) : random(-2 * h, 2 * h)), q = p + random.in_ball(1).normalized() * static_cast<double>(h);
-            const auto f = [&](const Vec3d& x) { return view_value(view, {static_cast<float>(x.x()), static_cast<float>(x.y()), static_cast<float>(x.z())}, near_depth, band); };
+            const Vec3d p(random(-4, 4), random(-4, 4), n % 3 ? random(-0.5, 6) : random(-2 * h, 2 * h)),
+                q = p + random.in_ball(1).normalized() * static_cast<double>(h);
+            const auto f = [&](const Vec3d& x) {
+                return view_value(view, {static_cast<float>(x.x()), static_cast<float>(x.y()), static_cast<float>(x.z())}, near_depth, band);
+            };
             const float a = f(p), b = f(q);
             // Opposite sides one voxel apart: both must still be within the band.
             if ((a < 0) != (b < 0)) {

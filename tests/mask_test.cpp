@@ -316,9 +316,9 @@ TEST(Masks, AnEditedMaskKeepsWhatIsIgnored) {
 TEST(Masks, LensIsRemovedWithTheHalfPixelInPlace) {
     Scene s;
     fs::remove_all(s.folder / "masks");
-    for (const auto& [model, k] : {std::pair{Lens::Model::OpenCV, std::vector<double>{-0.25, 0.08, 0.002, -0.003}},
-                                   std::pair{Lens::Model::SimpleRadial, std::vector<double>{0.2}},
-                                   std::pair{Lens::Model::OpenCVFisheye, std::vector<double>{0.05, 0.01, 0, 0}}}) {
+    for (const auto& [model, k] :
+         {std::pair{Lens::Model::OpenCV, std::vector<double>{-0.25, 0.08, 0.002, -0.003}}, std::pair{Lens::Model::SimpleRadial, std::vector<double>{0.2}},
+          std::pair{Lens::Model::OpenCVFisheye, std::vector<double>{0.05, 0.01, 0, 0}}}) {
         View& v = s.views.views[0];
         v.lens = {model, k};
         v.camera.intrinsics = {80, 82, 0, 51.3, 38.6, 100, 80, false};
@@ -350,8 +350,7 @@ TEST(Masks, LensIsRemovedWithTheHalfPixelInPlace) {
                 hits.at(x, y) += std::hypot(u - 44.2, w - 47.9) < 18;
             }
         Image8 distorted(100, 80);
-        for (size_t i = 0; i < distorted.data.size(); ++i)
-            distorted.data[i] = all.data[i] ? static_cast<uint8_t>(255.0 * hits.data[i] / all.data[i] + 0.5) : 0;
+        for (size_t i = 0; i < distorted.data.size(); ++i) distorted.data[i] = all.data[i] ? static_cast<uint8_t>(255.0 * hits.data[i] / all.data[i] + 0.5) : 0;
         fs::create_directories(s.folder / "masks");
         s.write("masks/v0.png", distorted);
         s.views.views.resize(1);
@@ -366,8 +365,8 @@ TEST(Masks, LensIsRemovedWithTheHalfPixelInPlace) {
                 sum2 += (d.at(x, y) - exact) * (d.at(x, y) - exact);
                 ++n;
             }
-        EXPECT_LT(std::fabs(sum / n), 0.03);           // a half-pixel slip would show as a shift of the disc …
-        EXPECT_LT(std::sqrt(sum2 / n), 0.15);          // … and here
+        EXPECT_LT(std::fabs(sum / n), 0.03);   // a half-pixel slip would show as a shift of the disc …
+        EXPECT_LT(std::sqrt(sum2 / n), 0.15);  // … and here
     }
 }
 
@@ -496,7 +495,8 @@ TEST(GrabCutMask, FromABoxAndTheSameTwice) {
 
 TEST(MaskCommand, WordsAreSplitAsAShellWould) {
     EXPECT_EQ(words_of_command("tool -a 'two words' \"{in}\" x\\ y={out}"), (std::vector<std::string>{"tool", "-a", "two words", "{in}", "x y={out}"}));
-    for (const auto& [text, part] : {std::pair{"tool {in}", "{out}"}, {"tool {in} '{out}", "not closed"}, {"", "{in}"}}) EXPECT_NE(error_of(ExitCode::Usage, [&] { words_of_command(text); }).find(part), std::string::npos) << text;
+    for (const auto& [text, part] : {std::pair{"tool {in}", "{out}"}, {"tool {in} '{out}", "not closed"}, {"", "{in}"}})
+        EXPECT_NE(error_of(ExitCode::Usage, [&] { words_of_command(text); }).find(part), std::string::npos) << text;
 }
 
 TEST(MaskCommand, AnotherProgramIsRunOnceForAPhotograph) {
@@ -524,7 +524,9 @@ TEST(MaskCommand, AnotherProgramIsRunOnceForAPhotograph) {
     s.options.command_jobs = 4;
     s.make();
     EXPECT_GE(runs(), 7u);
-    for (const auto& [body, part] : {std::pair{"echo out of luck; exit 3", "status 3; it said:\n    out of luck"}, {"exit 0", "wrote no {out}; it said nothing"}, {"kill -9 $$", "signal 9"},
+    for (const auto& [body, part] : {std::pair{"echo out of luck; exit 3", "status 3; it said:\n    out of luck"},
+                                     {"exit 0", "wrote no {out}; it said nothing"},
+                                     {"kill -9 $$", "signal 9"},
                                      {"head -c 20 \"$1\" > \"$2\"", "a tool.sh: wrote no picture"}}) {
         write_tool(body);
         s.options.cache = s.folder / "elsewhere";
@@ -582,10 +584,16 @@ TEST(Consensus, PhotographsMendMasks) {
     std::vector<Mask> without = scene.masks;
     const auto names = scene.views.names();
     const auto cameras = scene.views.cameras();
-    EXPECT_NE(repair_masks(names, cameras, scene.masks, broken, [&](size_t i) { return scene.photos[i]; }, quiet)[0].find("by its photograph"), std::string::npos);
+    EXPECT_NE(repair_masks(
+                  names, cameras, scene.masks, broken, [&](size_t i) { return scene.photos[i]; }, quiet)[0]
+                  .find("by its photograph"),
+              std::string::npos);
     for (const size_t i : broken) EXPECT_GT(iou(scene.masks[i].coverage, truth[i].coverage), 0.97) << i;
     // Without photographs what nobody else bears out is ignored, or away.
-    EXPECT_NE(repair_masks(names, cameras, without, broken, [&](size_t) { return Image8(); }, quiet)[0].find("ignored"), std::string::npos);
+    EXPECT_NE(repair_masks(
+                  names, cameras, without, broken, [&](size_t) { return Image8(); }, quiet)[0]
+                  .find("ignored"),
+              std::string::npos);
     for (const size_t i : broken) {
         size_t wrong = 0, object = 0;
         for (size_t p = 0; p < truth[i].coverage.data.size(); ++p) {

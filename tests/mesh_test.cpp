@@ -80,7 +80,8 @@ TEST(MarchingCubes, ClosedAndManifoldOnAnyPattern) {
     for (int n = 0; n < 3000; ++n) {
         openvdb::FloatGrid::Ptr grid = openvdb::FloatGrid::create(1.f);
         auto access = grid->getAccessor();
-        for (int at = 0; at < 64; ++at) access.setValue(openvdb::Coord(5 + at / 16, 5 + at / 4 % 4, 5 + at % 4), static_cast<float>(random() % 2001) / 1000.f - 1.0005f);
+        for (int at = 0; at < 64; ++at)
+            access.setValue(openvdb::Coord(5 + at / 16, 5 + at / 4 % 4, 5 + at % 4), static_cast<float>(random() % 2001) / 1000.f - 1.0005f);
         const MeshMeasures m = measure(marching_cubes(*grid, false));
         ASSERT_TRUE(m.manifold && m.zero_area_faces == 0) << n;
     }
@@ -128,7 +129,7 @@ TEST(MarchingCubes, SphereIsWhereItIs) {
         EXPECT_NEAR(n.norm(), 1.0, 1e-5);
         worst_angle = std::max(worst_angle, std::acos(std::min(1.0, n.dot(r.normalized()))));
     }
-    EXPECT_LT(worst, 0.02);                       // chords of the field between voxels, and 1/256 voxel off the corners
+    EXPECT_LT(worst, 0.02);  // chords of the field between voxels, and 1/256 voxel off the corners
     EXPECT_LT(worst_angle, 1.0 * 3.14159 / 180);
 }
 
@@ -163,7 +164,8 @@ std::vector<std::pair<std::string, openvdb::FloatGrid::Ptr>> hard_grids() {
     openvdb::initialize();
     std::vector<std::pair<std::string, openvdb::FloatGrid::Ptr>> out;
     for (const bool smooth : {false, true})
-        for (const bool tiny : {false, true}) out.emplace_back(std::string(smooth ? "smooth noise" : "white noise") + (tiny ? " around zero" : ""), noise_grid(36, smooth, tiny, 7));
+        for (const bool tiny : {false, true})
+            out.emplace_back(std::string(smooth ? "smooth noise" : "white noise") + (tiny ? " around zero" : ""), noise_grid(36, smooth, tiny, 7));
     std::mt19937 random(3);
     const auto fill = [&](const char* name, int side, const auto& value) {
         const openvdb::FloatGrid::Ptr grid = openvdb::FloatGrid::create(1.f);
@@ -178,9 +180,16 @@ std::vector<std::pair<std::string, openvdb::FloatGrid::Ptr>> hard_grids() {
     fill("bits and zeros", 36, [&](int, int, int) { return static_cast<float>(random() % 3) - 1.f; });
     fill("ninths", 36, [&](int, int, int) { return (static_cast<float>(random() % 9) - 4.f) / 4; });
     fill("zeros beside the inside", 24, [&](int i, int j, int k) { return (i / 3 + j / 3 + k / 3) % 2 ? -1.f : 0.f; });
-    fill("a thin sheet", 40, [&](int i, int j, int k) { return std::max({std::fabs(static_cast<float>(i) - 20) - 15, std::fabs(static_cast<float>(j) - 20) - 15, std::fabs(static_cast<float>(k) - 20.3f) - 0.4f}); });
-    fill("a sheet on samples", 40, [&](int i, int j, int k) { return std::max({std::fabs(static_cast<float>(i) - 20) - 15, std::fabs(static_cast<float>(j) - 20) - 15, std::fabs(static_cast<float>(k) - 20) - 1}); });
-    fill("cubes that touch", 33, [&](int i, int j, int k) { return (i / 4 % 2 + j / 4 % 2 + k / 4 % 2) % 2 == 0 && i > 1 && j > 1 && k > 1 && i < 31 && j < 31 && k < 31 ? -1.f : 1.f; });
+    fill("a thin sheet", 40, [&](int i, int j, int k) {
+        return std::max(
+            {std::fabs(static_cast<float>(i) - 20) - 15, std::fabs(static_cast<float>(j) - 20) - 15, std::fabs(static_cast<float>(k) - 20.3f) - 0.4f});
+    });
+    fill("a sheet on samples", 40, [&](int i, int j, int k) {
+        return std::max({std::fabs(static_cast<float>(i) - 20) - 15, std::fabs(static_cast<float>(j) - 20) - 15, std::fabs(static_cast<float>(k) - 20) - 1});
+    });
+    fill("cubes that touch", 33, [&](int i, int j, int k) {
+        return (i / 4 % 2 + j / 4 % 2 + k / 4 % 2) % 2 == 0 && i > 1 && j > 1 && k > 1 && i < 31 && j < 31 && k < 31 ? -1.f : 1.f;
+    });
     return out;
 }
 
@@ -260,7 +269,8 @@ TEST(Meshers, SmallPiecesAreLeftOut) {
     const DroppedPieces two = drop_small_pieces(mesh, 1e-3);
     EXPECT_EQ(two.pieces, 2u);
     EXPECT_EQ(two.kept, 3u);
-    EXPECT_NEAR(two.volume_share, 2 * std::pow(1.6, 3) / (8000 + 512 + 2 * std::pow(1.6, 3) + std::pow(5.2, 3)), 5e-4);  // the small balls lose a third to the mesher
+    EXPECT_NEAR(two.volume_share, 2 * std::pow(1.6, 3) / (8000 + 512 + 2 * std::pow(1.6, 3) + std::pow(5.2, 3)),
+                5e-4);  // the small balls lose a third to the mesher
     const MeshMeasures left = measure(mesh);
     EXPECT_TRUE(left.manifold);
     EXPECT_EQ(left.components, 3u);

@@ -103,7 +103,8 @@ TEST_P(Oracle, ProjectedPointsAgreeWithRawMasks) {
         unexplained += nearest[n] > 1.0 + 1e-6;  // distances between pixel centres: 1 is next to the contour
     }
     RecordProperty("disagree", static_cast<int>(disagree));
-    std::cout << GetParam().name << ": " << disagree << " of 100000 points disagree (" << in << " inside), " << unexplained << " farther than 1 px from a contour\n";
+    std::cout << GetParam().name << ": " << disagree << " of 100000 points disagree (" << in << " inside), " << unexplained
+              << " farther than 1 px from a contour\n";
     EXPECT_EQ(unexplained, 0u);
     EXPECT_GT(in, 5000u);
     EXPECT_LT(disagree, 1500u);
@@ -117,14 +118,15 @@ void write_colmap(const fs::path& folder, const Views& views, bool binary) {
     binary ? write_colmap_binary(folder / "sparse/0", views) : write_colmap_text(folder / "sparse/0", views);
 }
 
-INSTANTIATE_TEST_SUITE_P(Formats, Oracle,
-                         testing::Values(Format{"middlebury", [](const fs::path& f, const Views& v) { write_text(f / "s_par.txt", middlebury_text(v)); }, 1.2},
-                                         Format{"transforms", [](const fs::path& f, const Views& v) { write_text(f / "transforms.json", transforms_text(v)); }, 0.9},
-                                         Format{"colmap_text", [](const fs::path& f, const Views& v) { write_colmap(f, v, false); }, 1.1},
-                                         Format{"colmap_binary", [](const fs::path& f, const Views& v) { write_colmap(f, v, true); }, 1.1},
-                                         Format{"projection_matrices", write_pa, 1.05},
-                                         Format{"cameras_json", [](const fs::path& f, const Views& v) { write_text(f / "cameras.json", cameras_json(v)); }, 1.3}),
-                         [](const auto& instance) { return std::string(instance.param.name); });
+INSTANTIATE_TEST_SUITE_P(
+    Formats, Oracle,
+    testing::Values(Format{"middlebury", [](const fs::path& f, const Views& v) { write_text(f / "s_par.txt", middlebury_text(v)); }, 1.2},
+                    Format{"transforms", [](const fs::path& f, const Views& v) { write_text(f / "transforms.json", transforms_text(v)); }, 0.9},
+                    Format{"colmap_text", [](const fs::path& f, const Views& v) { write_colmap(f, v, false); }, 1.1},
+                    Format{"colmap_binary", [](const fs::path& f, const Views& v) { write_colmap(f, v, true); }, 1.1},
+                    Format{"projection_matrices", write_pa, 1.05},
+                    Format{"cameras_json", [](const fs::path& f, const Views& v) { write_text(f / "cameras.json", cameras_json(v)); }, 1.3}),
+    [](const auto& instance) { return std::string(instance.param.name); });
 
 }  // namespace
 }  // namespace vdbcarve::test

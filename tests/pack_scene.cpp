@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// pack_scene SCENE FOLDER [--bounds xmin,ymin,zmin,xmax,ymax,zmax] [--threshold LEVEL CLOSE_PX] [--photos]: a scene's cameras and masks as a packed scene (support/packed_scene.h).
+// pack_scene SCENE FOLDER [--bounds xmin,ymin,zmin,xmax,ymax,zmax] [--threshold LEVEL CLOSE_PX] [--photos]: a scene's cameras and masks as a packed scene
+// (support/packed_scene.h).
 #include <cstdio>
 
 #include "support/packed_scene.h"

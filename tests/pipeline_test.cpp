@@ -496,13 +496,18 @@ TEST(Pipeline, FilesOfAPresetCoincide) {
     Progress quiet;
     job.run();
     const Box3d scene = box(read_mesh(job.folder / "out/mesh.ply"));
-    const auto y_up = [&](double scale) { return Box3d(scale * Vec3d(scene.min().x(), scene.min().z(), -scene.max().y()), scale * Vec3d(scene.max().x(), scene.max().z(), -scene.min().y())); };
+    const auto y_up = [&](double scale) {
+        return Box3d(scale * Vec3d(scene.min().x(), scene.min().z(), -scene.max().y()), scale * Vec3d(scene.max().x(), scene.max().z(), -scene.min().y()));
+    };
     const auto scaled_box = [&](double scale) { return Box3d(scale * scene.min(), scale * scene.max()); };
     const struct {
         Dcc dcc;
         Box3d volume, obj;
         const char* color;
-    } cases[] = {{Dcc::None, scene, y_up(1), ""}, {Dcc::Blender, scaled_box(0.01), y_up(0.01), ""}, {Dcc::Houdini, y_up(0.01), y_up(0.01), ""}, {Dcc::Maya, y_up(1), y_up(1), ""}};
+    } cases[] = {{Dcc::None, scene, y_up(1), ""},
+                 {Dcc::Blender, scaled_box(0.01), y_up(0.01), ""},
+                 {Dcc::Houdini, y_up(0.01), y_up(0.01), ""},
+                 {Dcc::Maya, y_up(1), y_up(1), ""}};
     for (const auto& c : cases) {
         SCOPED_TRACE(static_cast<int>(c.dcc));
         job.options.dcc = c.dcc;
@@ -574,7 +579,8 @@ TEST(Pipeline, AFilmIsAScene) {
     {
         ViewsOptions v;
         for (const auto& entry : fs::directory_iterator(folder / "out/stages"))
-            if (entry.path().filename().string().rfind("frames-", 0) == 0 && read_video_json(entry.path() / "frames.json").frames.size() == 20) v.scene = entry.path();
+            if (entry.path().filename().string().rfind("frames-", 0) == 0 && read_video_json(entry.path() / "frames.json").frames.size() == 20)
+                v.scene = entry.path();
         v.allow_unposed = true;
         posed = load_views(v, quiet);
         const SyntheticScene truth = synthesize(spec, quiet);
@@ -726,7 +732,8 @@ struct Arrivals {
     std::string bytes(const std::string& name) const { return read_text(folder / name); }
 };
 
-// Views added one by one, in several orders, with and without allowed misses and frames that cut the object: the hull, and all that follows from it, are those of carving all of them at once.
+// Views added one by one, in several orders, with and without allowed misses and frames that cut the object: the hull, and all that follows from it, are those
+// of carving all of them at once.
 TEST(Pipeline, AddedViewsGiveWhatAllAtOnceGive) {
     for (const int variant : {0, 1, 2}) {
         Arrivals a(variant == 2);
@@ -747,7 +754,8 @@ TEST(Pipeline, AddedViewsGiveWhatAllAtOnceGive) {
         const json whole = a.run(a.batch(last));
         EXPECT_EQ(whole["grid"]["dims"], last["grid"]["dims"]);
         EXPECT_EQ(a.hull(a.folder / "batch"), a.hull(a.folder / "out")) << "variant " << variant;
-        for (const char* file : {"volume.vdb", "mesh.ply", "preview.png", "cameras.json"}) EXPECT_EQ(a.bytes(std::string("batch/") + file), a.bytes(std::string("out/") + file)) << file << " of variant " << variant;
+        for (const char* file : {"volume.vdb", "mesh.ply", "preview.png", "cameras.json"})
+            EXPECT_EQ(a.bytes(std::string("batch/") + file), a.bytes(std::string("out/") + file)) << file << " of variant " << variant;
     }
 }
 
@@ -867,7 +875,9 @@ TEST(Watch, PhotographsBecomeAResultWhileTheyArrive) {
 TEST(Watch, ADamagedPhotographHoldsUpNobody) {
     Arrivals a;
     fs::remove_all(a.folder / "scene/masks");
-    const auto arrive = [&](size_t n) { fs::copy_file(a.folder / ("all/images/" + a.names[n]), a.folder / ("scene/images/" + a.names[n]), fs::copy_options::overwrite_existing); };
+    const auto arrive = [&](size_t n) {
+        fs::copy_file(a.folder / ("all/images/" + a.names[n]), a.folder / ("scene/images/" + a.names[n]), fs::copy_options::overwrite_existing);
+    };
     for (const size_t n : {0, 2, 4, 6}) arrive(n);
     const std::string whole = a.bytes("all/images/" + a.names[1]);
     write_text(a.folder / ("scene/images/" + a.names[1]), whole.substr(0, whole.size() / 2));
@@ -954,7 +964,10 @@ TEST(Pipeline, MasksOfKnownPhotographsAreNotMadeAgain) {
     fs::permissions(tool, fs::perms::owner_all);
     a.options.mask.command = tool.string() + " {in} {out}";
     a.options.last_stage = LastStage::Mask;
-    const auto made = [&] { const std::string text = read_text(log); return std::count(text.begin(), text.end(), '\n'); };
+    const auto made = [&] {
+        const std::string text = read_text(log);
+        return std::count(text.begin(), text.end(), '\n');
+    };
     a.run(a.options);
     EXPECT_EQ(made(), 8);
     const std::string known = a.bytes("out/masks/" + fs::path(a.names[3]).stem().string() + ".png");
@@ -978,7 +991,9 @@ TEST(Pipeline, ViewsThatAreAlikeAreAdded) {
     Arrivals a;
     for (const size_t n : {0, 1, 2, 3, 4}) a.arrive(n);
     for (const char* part : {"images/", "masks/"}) {
-        const auto name = [&](size_t n) { return a.folder / (std::string("scene/") + part + (part[0] == 'i' ? a.names[n] : fs::path(a.names[n]).stem().string() + ".png")); };
+        const auto name = [&](size_t n) {
+            return a.folder / (std::string("scene/") + part + (part[0] == 'i' ? a.names[n] : fs::path(a.names[n]).stem().string() + ".png"));
+        };
         fs::copy_file(name(0), name(8), fs::copy_options::overwrite_existing);
     }
     a.options.color.mode = ColorMode::None;
@@ -1013,7 +1028,7 @@ TEST(Pipeline, AddingNothingRedoesNothing) {
         EXPECT_EQ(first["grid"]["bounds"], third["grid"]["bounds"]);
         const std::string config = a.bytes("out/config.toml");
         EXPECT_EQ(config.find("resolution"), std::string::npos);
-        EXPECT_NE(config.find("reconstruct.voxel-size=" ), std::string::npos);
+        EXPECT_NE(config.find("reconstruct.voxel-size="), std::string::npos);
         EXPECT_NE(config.find("reconstruct.bounds=\""), std::string::npos);
         a.run(a.batch(third));
         EXPECT_EQ(a.hull(a.folder / "batch"), a.hull(a.folder / "out"));
@@ -1049,7 +1064,8 @@ TEST(Pipeline, ViewsThatAreGoneAreNamed) {
     o.views.added = {a.options.views.scene};
     const json r = a.run(o);
     bool said = false;
-    for (const std::string w : r["warnings"]) said |= w.find(fs::path(a.names[2]).stem().string()) != std::string::npos && w.find("which is not here") != std::string::npos;
+    for (const std::string w : r["warnings"])
+        said |= w.find(fs::path(a.names[2]).stem().string()) != std::string::npos && w.find("which is not here") != std::string::npos;
     EXPECT_TRUE(said) << r["warnings"];
 }
 
@@ -1072,7 +1088,9 @@ TEST(Bundle, HoldsASceneThatCarvesAlikeAndNoPhotographs) {
         EXPECT_EQ(fs::exists(root / file), std::string(file) != "config.toml") << file;  // the library was given no configuration
     EXPECT_FALSE(fs::exists(root / "scene/images"));
     // The photographs' colours are not in it: COLOR_0, in base64 wherever it may begin.
-    const auto has_colors = [](const std::string& page) { return page.find("Q09MT1Jf") != std::string::npos || page.find("NPTE9SXz") != std::string::npos || page.find("DT0xPUl8w") != std::string::npos; };
+    const auto has_colors = [](const std::string& page) {
+        return page.find("Q09MT1Jf") != std::string::npos || page.find("NPTE9SXz") != std::string::npos || page.find("DT0xPUl8w") != std::string::npos;
+    };
     EXPECT_FALSE(has_colors(read_text(root / "report.html")));
     EXPECT_EQ(has_colors(job.bytes("report.html")), report_has_viewer());
     EXPECT_EQ(io::read_image8(root / "scene/masks/0003.png").width, 120);
@@ -1094,7 +1112,8 @@ TEST(Bundle, OfALaterRunThatFailedHasItsScene) {
     for (const size_t n : {0, 1, 2, 3, 4, 5}) a.arrive(n);
     a.run(a.options);
     a.arrive(6);
-    fs::copy_file(a.folder / ("scene/masks/" + fs::path(a.names[6]).stem().string() + ".png"), a.folder / ("scene/masks/" + fs::path(a.names[7]).stem().string() + ".png"));
+    fs::copy_file(a.folder / ("scene/masks/" + fs::path(a.names[6]).stem().string() + ".png"),
+                  a.folder / ("scene/masks/" + fs::path(a.names[7]).stem().string() + ".png"));
     fs::copy_file(a.folder / ("all/images/" + a.names[7]), a.folder / ("scene/images/" + a.names[7]));
     ReconstructOptions o = a.options;
     o.views.added = {a.options.views.scene};
@@ -1218,7 +1237,8 @@ TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
             EXPECT_EQ(d > 0, sure.at(x, y) > 0);
             const Camera& camera = dented.cameras[0];
             const Camera::Ray ray = camera.ray(Vec2d(x + 0.5, y + 0.5));
-            if (const auto t = DentedBall().hit(ray); t && d > 0) off.push_back(std::fabs(static_cast<double>(d) - (camera.camera_from_world * (ray.origin + *t * ray.direction)).z()));
+            if (const auto t = DentedBall().hit(ray); t && d > 0)
+                off.push_back(std::fabs(static_cast<double>(d) - (camera.camera_from_world * (ray.origin + *t * ray.direction)).z()));
         }
     ASSERT_GT(off.size(), 1000u);
     EXPECT_LT(median(off), 0.01);
@@ -1255,7 +1275,8 @@ TEST(Pipeline, CamerasOfStereoAreRefinedByTexture) {
     o.report = false;
     o.last_stage = LastStage::Align;
     std::vector<Vec3d> points;
-    for (size_t n = 0; n < scene.truth.vertices.size(); n += 50) points.emplace_back(scene.truth.vertices[n][0], scene.truth.vertices[n][1], scene.truth.vertices[n][2]);
+    for (size_t n = 0; n < scene.truth.vertices.size(); n += 50)
+        points.emplace_back(scene.truth.vertices[n][0], scene.truth.vertices[n][1], scene.truth.vertices[n][2]);
     const auto error_px = [&](bool stereo, size_t fewest_tracks) {
         o.use_stereo = stereo;
         EXPECT_GE(json::parse(reconstruct(o, quiet).report_json)["align"]["features"]["count"].get<size_t>(), fewest_tracks);
@@ -1413,7 +1434,7 @@ TEST(Synthetic, TheBowlHasItsClosedForm) {
     const double volume = pi * radius * radius * height - pi * depth * (3 * rim * rim + depth * depth) / 6;
     EXPECT_NEAR(measure(scene.truth).volume, volume, 0.005 * volume);
     const Solid& bowl = spec.solids.front();
-    EXPECT_NEAR(bowl.value({0, 0, 0.14}), 0.2, 1e-9);   // above the deepest place
+    EXPECT_NEAR(bowl.value({0, 0, 0.14}), 0.2, 1e-9);  // above the deepest place
     EXPECT_NEAR(bowl.value({0, 0, -0.14 + 0.04}), -0.04, 1e-9);
     size_t inside = 0;
     for (const View& v : scene.views.views)
@@ -1447,12 +1468,15 @@ TEST(Synthetic, HardShootsStayConsistent) {
         const char* name;
         std::function<void(SyntheticSpec&)> set;
     };
-    for (const Variant& v : {Variant{"two sittings", [](SyntheticSpec& s) { s.rig.sittings = 2; }},
-                             Variant{"lens", [](SyntheticSpec& s) { s.rig.lens = {Lens::Model::OpenCV, {-0.2, 0.05, 0.001, -0.002}}; }},
-                             Variant{"breathing", [](SyntheticSpec& s) { s.rig.breathing = 0.08; }},
-                             Variant{"crop drift", [](SyntheticSpec& s) { s.rig.crop_drift_px = 8; }},
-                             Variant{"wide", [](SyntheticSpec& s) { s.rig.fov_deg = 100; }},
-                             Variant{"arc", [](SyntheticSpec& s) { s.rig.arc_deg = 500, s.rig.speed_variation = 0.6, s.rig.start_deg = 40; }}}) {
+    for (const Variant& v :
+         {Variant{"two sittings", [](SyntheticSpec& s) { s.rig.sittings = 2; }},
+          Variant{"lens",
+                  [](SyntheticSpec& s) {
+                      s.rig.lens = {Lens::Model::OpenCV, {-0.2, 0.05, 0.001, -0.002}};
+                  }},
+          Variant{"breathing", [](SyntheticSpec& s) { s.rig.breathing = 0.08; }}, Variant{"crop drift", [](SyntheticSpec& s) { s.rig.crop_drift_px = 8; }},
+          Variant{"wide", [](SyntheticSpec& s) { s.rig.fov_deg = 100; }},
+          Variant{"arc", [](SyntheticSpec& s) { s.rig.arc_deg = 500, s.rig.speed_variation = 0.6, s.rig.start_deg = 40; }}}) {
         TemporaryFolder folder;
         SyntheticSpec spec = small_spec("ellipsoids", 12, 200, 150);
         spec.photos = false;
@@ -1526,7 +1550,8 @@ TEST(Synthetic, DamageIsAsMuchAsAskedFor) {
 
 TEST(Synthetic, SpecsAreReadAndMistakesNamed) {
     TemporaryFolder folder;
-    write_text(folder / "s.json", R"({"solids":[{"type":"box","size":[1,2,3],"turn_deg":[0,0,30]}],"rig":{"type":"dome","views":5,"orthographic":true},"seed":9})");
+    write_text(folder / "s.json",
+               R"({"solids":[{"type":"box","size":[1,2,3],"turn_deg":[0,0,30]}],"rig":{"type":"dome","views":5,"orthographic":true},"seed":9})");
     const SyntheticSpec spec = read_spec(folder / "s.json");
     EXPECT_EQ(spec.solids.size(), 1u);
     EXPECT_EQ(spec.rig.views, 5);

@@ -51,16 +51,20 @@ INSTANTIATE_TEST_SUITE_P(Sets, Real,
                                          Set{"templeRing", [](ReconstructOptions& o) { threshold(o, 64, 10); }, 0.97, 0.9},
                                          Set{"david_sfs", [](ReconstructOptions& o) { threshold(o, 110, 3); }, 0.96, 0.9},
                                          // A file that MATLAB wrote, of a projective and mirrored world; a blue cloth.
-                                         Set{"vgg_dino", [](ReconstructOptions& o) {
+                                         Set{"vgg_dino",
+                                             [](ReconstructOptions& o) {
                                                  o.mask.method = MaskMethod::Chroma;
                                                  o.views.accept_non_metric = true;
-                                             }, 0.97, 0.96},
-                                         Set{"aruco_board02", [](ReconstructOptions& o) {
+                                             },
+                                             0.97, 0.96},
+                                         Set{"aruco_board02",
+                                             [](ReconstructOptions& o) {
                                                  o.align.method = AlignMethod::Mat;
                                                  o.align.mat = read_mat("grid:5x7:0.035:0.005:6X6_250");
                                                  o.align_again = true;
                                                  o.mask.masks = "silhouette";
-                                             }, 0.97, 0.95},
+                                             },
+                                             0.97, 0.95},
                                          Set{"kai46_example", [](ReconstructOptions&) {}, 0.99, 0.98},
                                          Set{"nerf_lego", [](ReconstructOptions&) {}, 0.985, 0.97},
                                          Set{"scene_dragon_clean", [](ReconstructOptions&) {}, 0.99, 0.985},
@@ -94,7 +98,8 @@ TEST_P(Textured, ComesBackWithItsColours) {
     });
 }
 
-INSTANTIATE_TEST_SUITE_P(Models, Textured, testing::Values(TexturedModel{"spot_triangulated.obj", "spot_texture.png"}, TexturedModel{"bob_tri.obj", "bob_diffuse.png"}));
+INSTANTIATE_TEST_SUITE_P(Models, Textured,
+                         testing::Values(TexturedModel{"spot_triangulated.obj", "spot_texture.png"}, TexturedModel{"bob_tri.obj", "bob_diffuse.png"}));
 
 }  // namespace
 }  // namespace vdbcarve::test

@@ -23,7 +23,9 @@ const Vec3d kCentre(0.3, -0.2, 0.5);
 /// A ball on a lattice far from the origin's own voxel, with tiles inside.
 openvdb::FloatGrid::Ptr ball(double voxel = 0.01, const Vec3d& centre = kCentre, double radius = kRadius) {
     openvdb::initialize();
-    return openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(static_cast<float>(radius), openvdb::Vec3f(static_cast<float>(centre.x()), static_cast<float>(centre.y()), static_cast<float>(centre.z())), static_cast<float>(voxel), 3.f);
+    return openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(
+        static_cast<float>(radius), openvdb::Vec3f(static_cast<float>(centre.x()), static_cast<float>(centre.y()), static_cast<float>(centre.z())),
+        static_cast<float>(voxel), 3.f);
 }
 
 Camera camera_at(const Vec3d& towards, int width, int height, double fov_deg = 35) {

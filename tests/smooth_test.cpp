@@ -24,7 +24,8 @@ Mesh blocky(double radius, double hole) {
     for (int i = -reach; i <= reach; ++i)
         for (int j = -reach; j <= reach; ++j)
             for (int k = -reach; k <= reach; ++k)
-                if (std::hypot(hole > 0 ? std::hypot(i - 0.31, j - 0.17) - hole : std::hypot(i - 0.31, j - 0.17), k + 0.23) < radius) access.setValueOn({i, j, k});
+                if (std::hypot(hole > 0 ? std::hypot(i - 0.31, j - 0.17) - hole : std::hypot(i - 0.31, j - 0.17), k + 0.23) < radius)
+                    access.setValueOn({i, j, k});
     Progress quiet;
     return extract_mesh(*level_set_of_occupancy(*mask, {}, quiet), {}, quiet);
 }
@@ -71,7 +72,8 @@ TEST(Smooth, PassesItsBandAndStopsTheRest) {
     for (int i = 0; i < n; ++i)
         for (int j = 0; j < m; ++j) {
             const double u = 2 * 3.14159265358979 * i / n, v = 2 * 3.14159265358979 * j / m;
-            mesh.vertices.push_back({static_cast<float>((10 + 2 * std::cos(v)) * std::cos(u)), static_cast<float>((10 + 2 * std::cos(v)) * std::sin(u)), static_cast<float>(2 * std::sin(v))});
+            mesh.vertices.push_back({static_cast<float>((10 + 2 * std::cos(v)) * std::cos(u)), static_cast<float>((10 + 2 * std::cos(v)) * std::sin(u)),
+                                     static_cast<float>(2 * std::sin(v))});
         }
     const auto at = [&](int i, int j) { return static_cast<uint32_t>((i + n) % n * m + (j + m) % m); };
     for (int i = 0; i < n; ++i)
@@ -154,7 +156,9 @@ TEST(Decimate, SimplifiedForDisplay) {
             const auto& v = few.vertices[i];
             EXPECT_NEAR(std::hypot(v[0] - 0.31, v[1] - 0.17, v[2] + 0.23), 30, 2.5);
             EXPECT_FLOAT_EQ(few.colors[i][1], 0.25f);
-            if (v[0] > 6) { EXPECT_FLOAT_EQ(few.colors[i][0], 1.f); }
+            if (v[0] > 6) {
+                EXPECT_FLOAT_EQ(few.colors[i][0], 1.f);
+            }
         }
         const double volume = measure(few).volume;
         EXPECT_NEAR(volume, measure(ball).volume, 0.05 * measure(ball).volume);
@@ -163,7 +167,8 @@ TEST(Decimate, SimplifiedForDisplay) {
     Mesh plate;
     for (int i = 0; i <= 100; ++i)
         for (int j = 0; j <= 100; ++j)
-            for (int side = 0; side < 2; ++side) plate.vertices.push_back({0.1f * static_cast<float>(i), 0.1f * static_cast<float>(j), 0.001f * static_cast<float>(side)});
+            for (int side = 0; side < 2; ++side)
+                plate.vertices.push_back({0.1f * static_cast<float>(i), 0.1f * static_cast<float>(j), 0.001f * static_cast<float>(side)});
     const auto at = [](int i, int j, int side) { return static_cast<uint32_t>((i * 101 + j) * 2 + side); };
     for (int i = 0; i < 100; ++i)
         for (int j = 0; j < 100; ++j)

@@ -3,9 +3,10 @@
 //
 //   vdbcarve_stereo_study SCENE N [--cpu] [--meshes PREFIX] [--synth name=value,…] [--pose-noise PX] [name=value,name=value …]
 //
-// SCENE is a packed scene with photographs (tests/pack_scene.cpp), which may hold truth.ply; or what `vdbcarve synth` takes, a built-in object or a closed mesh, photographed here as --synth says (rings of
-// 36 views of 1024 x 768 else), whose distances are in percent of its longest side. N is the voxels along the longest side of its bounds. --pose-noise turns every camera about its centre, so that pictures move by that much
-// (standard deviation, along either axis). A row for the hull and one for each list of settings ("usual": none changed).
+// SCENE is a packed scene with photographs (tests/pack_scene.cpp), which may hold truth.ply; or what `vdbcarve synth` takes, a built-in object or a closed
+// mesh, photographed here as --synth says (rings of 36 views of 1024 x 768 else), whose distances are in percent of its longest side. N is the voxels along the
+// longest side of its bounds. --pose-noise turns every camera about its centre, so that pictures move by that much (standard deviation, along either axis). A
+// row for the hull and one for each list of settings ("usual": none changed).
 #include <openvdb/openvdb.h>
 
 #include <chrono>
@@ -48,11 +49,25 @@ StereoOptions settings(const std::string& list) {
     StereoOptions o;
     median = 0;
     const auto number = [](auto& to) { return [&to](const std::string& v) { to = static_cast<std::remove_reference_t<decltype(to)>>(std::atof(v.c_str())); }; };
-    set_all(list, {{"pairs", number(o.pairs)}, {"scale", number(o.scale)}, {"levels", number(o.levels)}, {"coarser", number(o.coarser_weight)}, {"passes", number(o.passes)},
-                   {"least_angle", number(o.least_angle_deg)}, {"most_angle", number(o.most_angle_deg)}, {"depth", number(o.depth_share)},
-                   {"cost", number(o.trust.most_cost)}, {"contrast", number(o.trust.least_contrast)}, {"margin", number(o.trust.least_margin)}, {"agreeing", number(o.trust.agreeing)},
-                   {"agreement", number(o.trust.agreement_px)}, {"normal", number(o.trust.normal_deg)}, {"rim", number(o.trust.rim_px)},
-                   {"reach", number(o.reach_share)}, {"median", number(median)}, {"truncation", number(o.truncation_vox)}, {"weight", number(o.least_weight)}});
+    set_all(list, {{"pairs", number(o.pairs)},
+                   {"scale", number(o.scale)},
+                   {"levels", number(o.levels)},
+                   {"coarser", number(o.coarser_weight)},
+                   {"passes", number(o.passes)},
+                   {"least_angle", number(o.least_angle_deg)},
+                   {"most_angle", number(o.most_angle_deg)},
+                   {"depth", number(o.depth_share)},
+                   {"cost", number(o.trust.most_cost)},
+                   {"contrast", number(o.trust.least_contrast)},
+                   {"margin", number(o.trust.least_margin)},
+                   {"agreeing", number(o.trust.agreeing)},
+                   {"agreement", number(o.trust.agreement_px)},
+                   {"normal", number(o.trust.normal_deg)},
+                   {"rim", number(o.trust.rim_px)},
+                   {"reach", number(o.reach_share)},
+                   {"median", number(median)},
+                   {"truncation", number(o.truncation_vox)},
+                   {"weight", number(o.least_weight)}});
     return o;
 }
 
@@ -67,10 +82,19 @@ test::PackedScene photographed(const std::string& object, const std::string& lis
     spec.rig.width_px = 1024;
     spec.rig.height_px = 768;
     const auto number = [](auto& to) { return [&to](const std::string& v) { to = static_cast<std::remove_reference_t<decltype(to)>>(std::atof(v.c_str())); }; };
-    set_all(list, {{"views", number(views)}, {"width", number(spec.rig.width_px)}, {"height", number(spec.rig.height_px)}, {"gloss", number(spec.look.gloss)}, {"noise", number(spec.look.noise)}, {"flat", number(spec.look.flat)}, {"low", number(low)}, {"high", number(high)},
+    set_all(list, {{"views", number(views)},
+                   {"width", number(spec.rig.width_px)},
+                   {"height", number(spec.rig.height_px)},
+                   {"gloss", number(spec.look.gloss)},
+                   {"noise", number(spec.look.noise)},
+                   {"flat", number(spec.look.flat)},
+                   {"low", number(low)},
+                   {"high", number(high)},
                    {"pattern", [&](const std::string& v) { spec.pattern = pattern_called(v); }},
                    {"motion", [&](const std::string& v) { spec.rig.motion = v == "turntable" ? Rig::Motion::Turntable : Rig::Motion::Camera; }},
-                   {"rig", [&](const std::string& v) { spec.rig.kind = v == "dome" ? Rig::Kind::Dome : v == "orbit" ? Rig::Kind::Orbit : Rig::Kind::Rings; }}});
+                   {"rig", [&](const std::string& v) { spec.rig.kind = v == "dome"    ? Rig::Kind::Dome
+                                                                       : v == "orbit" ? Rig::Kind::Orbit
+                                                                                      : Rig::Kind::Rings; }}});
     spec.rig.views = views;
     spec.rig.rings = {{(views + 1) / 2, low}, {views / 2, high}};
     SyntheticScene scene = synthesize(spec, progress);
@@ -104,8 +128,9 @@ void print_row(const std::string& name, const Mesh& mesh, const Mesh& truth, boo
         Box3d box;
         for (const auto& v : truth.vertices) box.extend(Vec3d(v[0], v[1], v[2]));
         const double unit = percent ? 100 / box.sizes().maxCoeff() : 1;
-        std::printf(" excess %6.2f %% lost %5.2f %% IoU %.4f | accuracy %.3f p90 %.3f p95 %.3f | completeness %.3f, %.1f %% | chamfer %.4f | normals %.1f", 100 * e.volume_excess, 100 * e.truth_lost, e.iou, unit * e.to_truth.mean, unit * e.to_truth.p90,
-                    unit * e.to_truth.p95, unit * e.from_truth.mean, 100 * e.from_truth.within, 0.5 * unit * (e.to_truth.mean + e.from_truth.mean), e.normal_error_mean_deg);
+        std::printf(" excess %6.2f %% lost %5.2f %% IoU %.4f | accuracy %.3f p90 %.3f p95 %.3f | completeness %.3f, %.1f %% | chamfer %.4f | normals %.1f",
+                    100 * e.volume_excess, 100 * e.truth_lost, e.iou, unit * e.to_truth.mean, unit * e.to_truth.p90, unit * e.to_truth.p95,
+                    unit * e.from_truth.mean, 100 * e.from_truth.within, 0.5 * unit * (e.to_truth.mean + e.from_truth.mean), e.normal_error_mean_deg);
     }
     std::printf("\n");
     std::fflush(stdout);
@@ -114,7 +139,11 @@ void print_row(const std::string& name, const Mesh& mesh, const Mesh& truth, boo
 }  // namespace
 
 int main(int argc, char** argv) {
-    if (argc < 3) return std::fprintf(stderr, "usage: vdbcarve_stereo_study SCENE N [--cpu] [--meshes PREFIX] [--synth name=value,...] [--pose-noise PX] [name=value,name=value ...]\n"), 2;
+    if (argc < 3)
+        return std::fprintf(
+                   stderr,
+                   "usage: vdbcarve_stereo_study SCENE N [--cpu] [--meshes PREFIX] [--synth name=value,...] [--pose-noise PX] [name=value,name=value ...]\n"),
+               2;
     openvdb::initialize();
     try {
         const std::filesystem::path folder = argv[1];
@@ -169,7 +198,9 @@ int main(int argc, char** argv) {
             print_row(list, mesh, truth, !packed, progress);
             size_t object = 0, matched = 0, trusted = 0;
             for (const StereoViewStatistics& v : r.views) object += v.object_pixels, matched += v.matched_pixels, trusted += v.trusted_pixels;
-            std::printf("    %s, scale %d: %zu pixels, %.1f %% matched, %.1f %% trusted; %.3f s:", r.backend_used.c_str(), r.scale, object, 100.0 * static_cast<double>(matched) / static_cast<double>(object), 100.0 * static_cast<double>(trusted) / static_cast<double>(object), seconds);
+            std::printf("    %s, scale %d: %zu pixels, %.1f %% matched, %.1f %% trusted; %.3f s:", r.backend_used.c_str(), r.scale, object,
+                        100.0 * static_cast<double>(matched) / static_cast<double>(object), 100.0 * static_cast<double>(trusted) / static_cast<double>(object),
+                        seconds);
             for (const auto& [name, ms] : r.milliseconds) std::printf(" %s %.0f", name.c_str(), ms);
             std::printf(" ms\n");
             if (!meshes.empty()) write_mesh(meshes + list + ".ply", mesh);

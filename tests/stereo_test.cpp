@@ -73,10 +73,14 @@ TEST(Stereo, PlanesAreWhatRaysMeet) {
         ASSERT_TRUE(seen);
         const kernel::StereoPair pair = stereo_pair(a, b, 1);
         double p[3];
-        for (int r = 0; r < 3; ++r) p[r] = pair.from_pixel[3 * r] * (pixel.x() + shift.x()) + pair.from_pixel[3 * r + 1] * (pixel.y() + shift.y()) + pair.from_pixel[3 * r + 2] + static_cast<double>(moved.s) * pair.along[r];
+        for (int r = 0; r < 3; ++r)
+            p[r] = pair.from_pixel[3 * r] * (pixel.x() + shift.x()) + pair.from_pixel[3 * r + 1] * (pixel.y() + shift.y()) + pair.from_pixel[3 * r + 2] +
+                   static_cast<double>(moved.s) * pair.along[r];
         EXPECT_NEAR(p[0] / p[2], seen->x(), 0.02);
         EXPECT_NEAR(p[1] / p[2], seen->y(), 0.02);
-        const double depth = (pair.depth[0] * (pixel.x() + shift.x()) + pair.depth[1] * (pixel.y() + shift.y()) + pair.depth[2] + static_cast<double>(moved.s) * pair.depth[3]) / (a.intrinsics.orthographic ? 1 : static_cast<double>(moved.s));
+        const double depth =
+            (pair.depth[0] * (pixel.x() + shift.x()) + pair.depth[1] * (pixel.y() + shift.y()) + pair.depth[2] + static_cast<double>(moved.s) * pair.depth[3]) /
+            (a.intrinsics.orthographic ? 1 : static_cast<double>(moved.s));
         EXPECT_NEAR(depth, (b.camera_from_world * there).z(), 2e-3);
     }
 }
@@ -234,7 +238,9 @@ TEST(Stereo, APhotographIsHeardOnce) {
     }
     const std::vector<StereoLevel> before = levels;
     leave_to_finer(levels);
-    const auto at = [](const StereoLevel& level, size_t v, int x, int y) { return level.maps[v].confidence[static_cast<size_t>(y) * static_cast<size_t>(level.sources[v].width) + static_cast<size_t>(x)]; };
+    const auto at = [](const StereoLevel& level, size_t v, int x, int y) {
+        return level.maps[v].confidence[static_cast<size_t>(y) * static_cast<size_t>(level.sources[v].width) + static_cast<size_t>(x)];
+    };
     for (size_t l = 0; l < levels.size(); ++l)
         for (size_t v = 0; v < 2; ++v)
             for (int y = 0; y < levels[l].sources[v].height; ++y)
@@ -260,14 +266,16 @@ TEST(Stereo, ViewsAgreeAboutTheSamePlace) {
         if (!b.intrinsics.orthographic) b.intrinsics.fx *= away, b.intrinsics.fy *= away;
         const Vec2d pixel(160.5, 120.5);
         const Camera::Ray ray = a.ray(pixel);
-        const Vec3d place = ray.origin + (-(a.camera_from_world.rotation.row(2).dot(ray.origin) + a.camera_from_world.translation.z()) + 5) / a.camera_from_world.rotation.row(2).dot(ray.direction) * ray.direction;
+        const Vec3d place = ray.origin + (-(a.camera_from_world.rotation.row(2).dot(ray.origin) + a.camera_from_world.translation.z()) + 5) /
+                                             a.camera_from_world.rotation.row(2).dot(ray.direction) * ray.direction;
         const Vec3d normal = (-ray.direction + 0.2 * Vec3d(u(random), u(random), u(random))).normalized();
         const auto seen = b.project(place);
         if (!seen || seen->x() < 1 || seen->y() < 1 || seen->x() > 318 || seen->y() > 238) continue;
         const auto plane_in = [&](const Camera& c, const Vec3d& at, const Vec2d& px) {
             const Vec3d m = c.camera_from_world.rotation * normal;
             const double z = (c.camera_from_world * at).z();
-            return kernel::plane_of_normal(lens_of(c), {static_cast<float>(m.x()), static_cast<float>(m.y()), static_cast<float>(m.z())}, static_cast<float>(c.intrinsics.orthographic ? z : 1 / z), static_cast<float>(px.x()), static_cast<float>(px.y()));
+            return kernel::plane_of_normal(lens_of(c), {static_cast<float>(m.x()), static_cast<float>(m.y()), static_cast<float>(m.z())},
+                                           static_cast<float>(c.intrinsics.orthographic ? z : 1 / z), static_cast<float>(px.x()), static_cast<float>(px.y()));
         };
         const auto agree = [&](double shift) {  // the other finds the surface so much deeper along its line of sight
             const Vec2d middle(std::floor(seen->x()) + 0.5, std::floor(seen->y()) + 0.5);
@@ -282,7 +290,9 @@ TEST(Stereo, ViewsAgreeAboutTheSamePlace) {
             reference.lens = lens_of(a);
             const Vec3d m = a.camera_from_world.rotation * normal;
             const kernel::StereoTrustRule rule{0.5f, 0.f, 0.f, 1, 1.f, 0.7f};
-            return kernel::agrees(reference, stereo_pair(a, b, 1), depths, plane_in(a, place, pixel), {static_cast<float>(m.x()), static_cast<float>(m.y()), static_cast<float>(m.z())}, rule, static_cast<float>(pixel.x()), static_cast<float>(pixel.y()));
+            return kernel::agrees(reference, stereo_pair(a, b, 1), depths, plane_in(a, place, pixel),
+                                  {static_cast<float>(m.x()), static_cast<float>(m.y()), static_cast<float>(m.z())}, rule, static_cast<float>(pixel.x()),
+                                  static_cast<float>(pixel.y()));
         };
         // How far along the reference's line of sight the other picture shows as one pixel, by its projection.
         const double step = 1e-3;
@@ -308,15 +318,16 @@ TEST(Stereo, FragmentsAreDroppedAndVoidsFilled) {
             for (int j = -40; j <= 40; ++j)
                 for (int k = -40; k <= 40; ++k) {
                     const double d = (Vec3d(i, j, k) - centre).norm() - radius;
-                    const float was = access.getValue({i, j, k}), now = static_cast<float>(std::clamp(add ? std::min<double>(was, d) : std::max<double>(was, -d), -3.0, 3.0));
+                    const float was = access.getValue({i, j, k}),
+                                now = static_cast<float>(std::clamp(add ? std::min<double>(was, d) : std::max<double>(was, -d), -3.0, 3.0));
                     if (now != was) access.setValue({i, j, k}, now);
                 }
     };
     openvdb::FloatGrid::Ptr hull = openvdb::FloatGrid::create(3.f);
     hull->setGridClass(openvdb::GRID_LEVEL_SET);
     ball(*hull, {0, 0, 0}, 20.3, true);
-    ball(*hull, {33, 0, 0}, 3.2, true);    // apart in the hull, too
-    ball(*hull, {0, 0, -9}, 3.7, false);   // a hole that it has
+    ball(*hull, {33, 0, 0}, 3.2, true);   // apart in the hull, too
+    ball(*hull, {0, 0, -9}, 3.7, false);  // a hole that it has
     openvdb::FloatGrid::Ptr carved = hull->deepCopy();
     ball(*carved, {0, 0, 17}, 7.4, false);  // a dent
     ball(*carved, {0, 0, 16}, 2.2, true);   // with something floating in it
@@ -327,10 +338,10 @@ TEST(Stereo, FragmentsAreDroppedAndVoidsFilled) {
     EXPECT_EQ(f.fragments, 1u);
     EXPECT_EQ(f.voids, 1u);
     auto value = carved->getConstAccessor();
-    EXPECT_GT(value.getValue({0, 0, 16}), 0);   // gone
-    EXPECT_LT(value.getValue({0, 6, -2}), 0);   // filled
-    EXPECT_LT(value.getValue({33, 0, 0}), 0);   // stays
-    EXPECT_GT(value.getValue({0, 0, -9}), 0);   // stays
+    EXPECT_GT(value.getValue({0, 0, 16}), 0);  // gone
+    EXPECT_LT(value.getValue({0, 6, -2}), 0);  // filled
+    EXPECT_LT(value.getValue({33, 0, 0}), 0);  // stays
+    EXPECT_GT(value.getValue({0, 0, -9}), 0);  // stays
     EXPECT_EQ(component_volumes(*carved).size(), 2u);
 }
 

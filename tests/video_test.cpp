@@ -148,7 +148,8 @@ TEST(Video, RotationMetadataTurnsFrames) {
 TEST(Video, WhatIsNoFilmIsRefused) {
     TemporaryFolder folder;
     write_text(folder / "words.mp4", "no film at all");
-    EXPECT_NE(error_of(ExitCode::Input, [&] { extract(folder / "words.mp4", folder / "frames", 10); }).find("not a film that can be opened"), std::string::npos);
+    EXPECT_NE(error_of(ExitCode::Input, [&] { extract(folder / "words.mp4", folder / "frames", 10); }).find("not a film that can be opened"),
+              std::string::npos);
     write_film(std::vector<Image8>(30, disc(0)), 25, folder / "still.mp4");
     EXPECT_NE(error_of(ExitCode::Input, [&] { extract(folder / "still.mp4", folder / "frames", 10); }).find("nothing moves"), std::string::npos);
     EXPECT_FALSE(is_video(folder.path()));

@@ -100,7 +100,7 @@ TEST(Importers, ColmapModels) {
     Written w(1.0);
     const std::string images = "# header\n1 1 0 0 0 0 0 4 1 0000.png\n\n2 1 0 0 0 0 0 5 1 0001.png\n0.5 0.5 -1 7 8 -1\n";
     const struct {
-        const char *line;
+        const char* line;
         Lens::Model model;
         size_t coefficients;
     } models[] = {{"1 SIMPLE_PINHOLE 40 30 50 20 15", Lens::Model::None, 0},
@@ -212,7 +212,8 @@ TEST(Importers, OpenCVCalibrations) {
     EXPECT_EQ(lens.model, Lens::Model::FullOpenCV);
     EXPECT_EQ(lens.coefficients, (std::vector<double>{0.1, -0.2, 0.01, 0.02, 0.3, 0, 0, 0}));
     // A ChArUco board's corners count from the pixel's corner.
-    EXPECT_NEAR(load(w.folder.path(), [](ViewsOptions& o) { o.pixel_centre = PixelCentre::Corner; }).views[0].camera.intrinsics.cx, w.scene.views.views[0].camera.intrinsics.cx - 0.5, 1e-12);
+    EXPECT_NEAR(load(w.folder.path(), [](ViewsOptions& o) { o.pixel_centre = PixelCentre::Corner; }).views[0].camera.intrinsics.cx,
+                w.scene.views.views[0].camera.intrinsics.cx - 0.5, 1e-12);
 }
 
 TEST(Importers, OpenCVProjectionsInNaturalOrder) {
@@ -238,7 +239,8 @@ TEST(Importers, Metashape) {
     ASSERT_EQ(lens.coefficients.size(), 8u);
     const std::vector<double>& c = lens.coefficients;
     for (const auto& [x, y] : {std::pair{0.3, -0.2}, {-0.1, 0.4}}) {
-        const double r2 = x * x + y * y, metashape = 1 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2, opencv = 1 + c[0] * r2 + c[1] * r2 * r2 + c[4] * r2 * r2 * r2;
+        const double r2 = x * x + y * y, metashape = 1 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2,
+                     opencv = 1 + c[0] * r2 + c[1] * r2 * r2 + c[4] * r2 * r2 * r2;
         EXPECT_NEAR(x * opencv + 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x), x * metashape + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y, 1e-12);
         EXPECT_NEAR(y * opencv + c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y, y * metashape + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y, 1e-12);
     }
@@ -341,7 +343,8 @@ TEST(Exporters, ColmapAndTransformsComeBackTheSame) {
         axis[up[std::strlen(up) - 1] - 'x'] = up[0] == '-' ? -1 : 1;
         const Views turned = from("nerf/turned.json");
         for (size_t i = 0; i < 4; ++i)
-            EXPECT_LT((turned.views[i].camera.camera_from_world.rotation * Vec3d::UnitZ() - views.views[i].camera.camera_from_world.rotation * axis).norm(), 1e-9);
+            EXPECT_LT((turned.views[i].camera.camera_from_world.rotation * Vec3d::UnitZ() - views.views[i].camera.camera_from_world.rotation * axis).norm(),
+                      1e-9);
     }
     views.views[0].camera.intrinsics.skew = 1;
     EXPECT_NE(error_of(ExitCode::Input, [&] { export_cameras(views, w.folder / "skewed", {}, quiet); }).find("skewed"), std::string::npos);
@@ -535,9 +538,15 @@ TEST(Views, MistakesAreNamed) {
     const auto has = [](const std::string& message, const std::string& part) { EXPECT_NE(message.find(part), std::string::npos) << message; };
     has(message_with([](auto& j) { j["frames"][1]["file_path"] = "gone.png"; }), "gone.png: image not found");
     has(message_with([](auto& j) { j["frames"][2]["transform_matrix"][0][1] = nullptr; }), "frame 2");
-    has(message_with([](auto& j) { for (size_t i = 0; i < 3; ++i) j["frames"][1]["transform_matrix"][i][0] = -j["frames"][1]["transform_matrix"][i][0].template get<double>(); }), "left-handed");
+    has(message_with([](auto& j) {
+            for (size_t i = 0; i < 3; ++i) j["frames"][1]["transform_matrix"][i][0] = -j["frames"][1]["transform_matrix"][i][0].template get<double>();
+        }),
+        "left-handed");
     has(message_with([](auto& j) { j["frames"][0]["fl_x"] = -5; }), "fx is -5");
-    has(message_with([](auto& j) { for (auto& f : j["frames"]) f.erase("fl_x"); }), "focal length");
+    has(message_with([](auto& j) {
+            for (auto& f : j["frames"]) f.erase("fl_x");
+        }),
+        "focal length");
     has(message_with([](auto& j) { j["frames"][3]["file_path"] = j["frames"][0]["file_path"]; }), "listed twice");
     write_text(w.folder / "transforms.json", "{ not json");
     has(error_of(ExitCode::Input, [&] { load(w.folder.path()); }), "transforms.json: is not JSON");

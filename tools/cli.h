@@ -17,8 +17,8 @@ namespace vdbcarve::cli {
 /// Options before or after any command.
 struct Common {
     bool quiet = false, verbose = false;
-    int threads = 0;  ///< 0: all
-    std::string json;  ///< "-": JSON on stdout
+    int threads = 0;           ///< 0: all
+    std::string json;          ///< "-": JSON on stdout
     bool report_said = false;  ///< the report, which is the last event, was written; set by commands
 };
 
@@ -108,7 +108,10 @@ T one_of(const std::string& option, const std::string& text, const std::vector<s
 /// An option that takes one of them.
 template <class T>
 CLI::Option* add_choice(CLI::App& app, const std::string& option, T& target, const std::vector<std::pair<std::string, T>>& choices, const std::string& what) {
-    return app.add_option_function<std::string>(option, [&target, option, choices](const std::string& text) { target = one_of(option, text, choices); }, what)->type_name("WORD");
+    return app
+        .add_option_function<std::string>(
+            option, [&target, option, choices](const std::string& text) { target = one_of(option, text, choices); }, what)
+        ->type_name("WORD");
 }
 
 }  // namespace vdbcarve::cli

@@ -34,16 +34,19 @@ Command add_bench(CLI::App& program) {
     auto raw = std::make_shared<Raw>();
     CLI::App* app = program.add_subcommand("bench", "how fast this machine carves, against the paper's dense method");
     app->fallthrough();
-    app->footer("Examples:\n"
-                "  vdbcarve bench                                                           several grids and numbers of views, GPU too where there is one\n"
-                "  vdbcarve bench shoot --grid 512x512x512 --svg bench.svg                  on photographs of your own\n"
-                "  vdbcarve bench --paper                                                   the paper's table and figure");
+    app->footer(
+        "Examples:\n"
+        "  vdbcarve bench                                                           several grids and numbers of views, GPU too where there is one\n"
+        "  vdbcarve bench shoot --grid 512x512x512 --svg bench.svg                  on photographs of your own\n"
+        "  vdbcarve bench --paper                                                   the paper's table and figure");
     app->add_option("scene", raw->scene, "scene with masks to carve (default: 31 spheres, 1024 x 768)");
     app->add_option("--bounds", raw->bounds, "xmin,ymin,zmin,xmax,ymax,zmax of the scene (default: found from the silhouettes)");
     app->add_option("--grid", raw->grids, "grids, like 512x256x512,1024x512x1024")->delimiter(',');
     CLI::Option* views = app->add_option("--views", raw->views, "numbers of views, like 18,36,72 (default: 36, or all of a scene)")->delimiter(',');
     app->add_option("--runs", raw->options.runs, "medians of so many runs")->capture_default_str()->check(CLI::Range(1, 100));
-    app->add_flag("--paper", raw->paper, "the paper's Table 1 (six volumes; CPU with one thread and all, GPU; dense and sparse) and Fig. 8 (over volumes, over views at 512^3); takes minutes")
+    app->add_flag("--paper", raw->paper,
+                  "the paper's Table 1 (six volumes; CPU with one thread and all, GPU; dense and sparse) and Fig. 8 (over volumes, over views at 512^3); takes "
+                  "minutes")
         ->excludes(views)
         ->excludes(app->get_option("--grid"));
     app->add_flag("--no-dense", raw->no_dense, "leave the dense method out");
@@ -51,10 +54,12 @@ Command add_bench(CLI::App& program) {
     app->add_flag("--carve-only", raw->carve_only, "leave level_set and mesh out");
     app->add_flag("--no-cpu", raw->no_cpu, "time the GPU only");
     raw->options.backend = Backend::Auto;
-    add_choice<Backend>(*app, "--backend", raw->options.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}}, "auto (also the GPU where there is one), cpu or cuda");
+    add_choice<Backend>(*app, "--backend", raw->options.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}},
+                        "auto (also the GPU where there is one), cpu or cuda");
     app->add_option("--device", raw->options.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more());
     app->add_option("--svg", raw->svg, "also pictures: FILE.svg, seconds over voxels, and FILE_views.svg, over views");
-    return {app, [raw, views](Common& common, Progress& progress) {
+    return {app,
+            [raw, views](Common& common, Progress& progress) {
                 BenchOptions& o = raw->options;
                 std::optional<Box3d> bounds;
                 if (!raw->bounds.empty()) {
@@ -74,7 +79,8 @@ Command add_bench(CLI::App& program) {
                 }
                 o.backend = choose_backend(o.backend, o.device);
                 o.cpu = !raw->no_cpu;
-                if (raw->no_cpu && o.backend == Backend::Cpu) throw UsageError("--no-cpu leaves nothing to time: " + (why_no_cuda().empty() ? "--backend is cpu" : why_no_cuda()));
+                if (raw->no_cpu && o.backend == Backend::Cpu)
+                    throw UsageError("--no-cpu leaves nothing to time: " + (why_no_cuda().empty() ? "--backend is cpu" : why_no_cuda()));
                 o.dense = !raw->no_dense;
                 o.dense_limit_bytes = static_cast<size_t>(raw->dense_limit_gb * 1e9);
                 o.stages = !raw->carve_only;
@@ -88,7 +94,8 @@ Command add_bench(CLI::App& program) {
                 if (common.json == "-") std::cout << bench_json(result);
                 else std::cout << (raw->paper ? bench_paper_table(result) + "\n" : std::string()) << bench_table(result);
                 return 0;
-            }, Says::Document};
+            },
+            Says::Document};
 }
 
 }  // namespace vdbcarve::cli

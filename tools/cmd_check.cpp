@@ -23,14 +23,17 @@ Command add_check(CLI::App& program) {
     app->add_option("--write-cameras", raw->write_cameras, "where the poses fit when read in another way: write them so, as a cameras.json");
     app->add_option("--resolution", o.resolution, "of the hull that masks are compared with")->capture_default_str()->check(CLI::Range(32, 1024));
     add_scene_options(*app, o.views, o.mask);
-    app->add_option("--up", o.views.up, "world up axis, where the camera file says none or another: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
+    app->add_option("--up", o.views.up, "world up axis, where the camera file says none or another: x, y, z, -x, -y, -z")
+        ->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
     app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, km, inch, ft");
-    app->footer("Examples:\n"
-                "  vdbcarve check shoot                                                     everything: images, cameras, masks, and whether they fit together\n"
-                "  vdbcarve check shoot --only cameras                                      quickly: no picture is read\n"
-                "  vdbcarve check shoot --cameras colmap --write-cameras fixed.json         other readings of poses that do not fit are tried\n"
-                "Exit code: 0 nothing wrong, or warnings; 3 files that cannot be used; 4 cameras and masks contradict each other; 5 cameras that must not be trusted.");
-    return {app, [raw](Common& common, Progress& progress) {
+    app->footer(
+        "Examples:\n"
+        "  vdbcarve check shoot                                                     everything: images, cameras, masks, and whether they fit together\n"
+        "  vdbcarve check shoot --only cameras                                      quickly: no picture is read\n"
+        "  vdbcarve check shoot --cameras colmap --write-cameras fixed.json         other readings of poses that do not fit are tried\n"
+        "Exit code: 0 nothing wrong, or warnings; 3 files that cannot be used; 4 cameras and masks contradict each other; 5 cameras that must not be trusted.");
+    return {app,
+            [raw](Common& common, Progress& progress) {
                 CheckOptions& options = raw->options;
                 options.views.allow_missing = options.mask.allow_missing;
                 options.cameras = raw->only.empty() || raw->only == "cameras";
@@ -47,7 +50,8 @@ Command add_check(CLI::App& program) {
                     }
                 }
                 return static_cast<int>(result.exit_code);
-            }, Says::Document};
+            },
+            Says::Document};
 }
 
 }  // namespace vdbcarve::cli

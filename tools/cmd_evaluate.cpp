@@ -49,7 +49,8 @@ Similarity alignment(const Raw& raw, Progress& progress) {
                 to.push_back(other->second);
             }
         if (from.size() < 3)
-            throw InputError(raw.cameras.string() + " and " + raw.truth_cameras.string() + " share " + std::to_string(from.size()) + " views by file name, at least three are needed");
+            throw InputError(raw.cameras.string() + " and " + raw.truth_cameras.string() + " share " + std::to_string(from.size()) +
+                             " views by file name, at least three are needed");
     } else {
         std::ifstream in(raw.points);
         if (!in) throw InputError(raw.points.string() + ": cannot be opened");
@@ -60,7 +61,8 @@ Similarity alignment(const Raw& raw, Progress& progress) {
             std::istringstream words(line);
             Vec3d p, q;
             if (!(words >> p[0] >> p[1] >> p[2] >> q[0] >> q[1] >> q[2]))
-                throw InputError(raw.points.string() + ": line " + std::to_string(number) + ": six numbers are expected, a point of the mesh and the same point of the truth");
+                throw InputError(raw.points.string() + ": line " + std::to_string(number) +
+                                 ": six numbers are expected, a point of the mesh and the same point of the truth");
             from.push_back(p);
             to.push_back(q);
         }
@@ -91,15 +93,25 @@ PhotoMean mean_of(const std::vector<PhotoComparison>& rows, bool used) {
 void print_photos(const std::vector<PhotoComparison>& rows, bool of_result, bool verbose) {
     for (const bool used : {true, false})
         if (const PhotoMean m = mean_of(rows, used); m.views)
-            std::printf("photographs, %zu views %s  PSNR %.2f dB, SSIM %.4f inside the silhouette (means)\n", m.views, !of_result ? "" : used ? "used for colour    " : "left out of colour ", m.psnr_db, m.ssim);
+            std::printf("photographs, %zu views %s  PSNR %.2f dB, SSIM %.4f inside the silhouette (means)\n", m.views,
+                        !of_result ? ""
+                        : used     ? "used for colour    "
+                                   : "left out of colour ",
+                        m.psnr_db, m.ssim);
     if (!verbose) return;
-    for (const PhotoComparison& r : rows) std::printf("  %-32s %s  PSNR %6.2f dB  SSIM %.4f  %zu px\n", r.name.c_str(), r.used ? "used    " : "left out", r.agreement.psnr_db, r.agreement.ssim, r.agreement.pixels);
+    for (const PhotoComparison& r : rows)
+        std::printf("  %-32s %s  PSNR %6.2f dB  SSIM %.4f  %zu px\n", r.name.c_str(), r.used ? "used    " : "left out", r.agreement.psnr_db, r.agreement.ssim,
+                    r.agreement.pixels);
 }
 
 nlohmann::ordered_json photos_json(const std::vector<PhotoComparison>& rows) {
     nlohmann::ordered_json views = nlohmann::ordered_json::array(), out;
     for (const PhotoComparison& r : rows)
-        views.push_back({{"name", r.name}, {"color_used", r.used}, {"psnr_db", std::isfinite(r.agreement.psnr_db) ? nlohmann::ordered_json(r.agreement.psnr_db) : nlohmann::ordered_json()}, {"ssim", r.agreement.ssim}, {"pixels", r.agreement.pixels}});
+        views.push_back({{"name", r.name},
+                         {"color_used", r.used},
+                         {"psnr_db", std::isfinite(r.agreement.psnr_db) ? nlohmann::ordered_json(r.agreement.psnr_db) : nlohmann::ordered_json()},
+                         {"ssim", r.agreement.ssim},
+                         {"pixels", r.agreement.pixels}});
     for (const bool used : {true, false})
         if (const PhotoMean m = mean_of(rows, used); m.views) out[used ? "used" : "left_out"] = {{"views", m.views}, {"psnr_db", m.psnr_db}, {"ssim", m.ssim}};
     out["views"] = views;
@@ -110,34 +122,41 @@ nlohmann::ordered_json photos_json(const std::vector<PhotoComparison>& rows) {
 
 Command add_evaluate(CLI::App& program) {
     auto raw = std::make_shared<Raw>();
-    CLI::App* app = program.add_subcommand("evaluate", "how far a mesh is from the truth (accuracy, completeness, Chamfer, F-score, volume, IoU, colour) or its photographs (PSNR, SSIM)");
+    CLI::App* app = program.add_subcommand(
+        "evaluate", "how far a mesh is from the truth (accuracy, completeness, Chamfer, F-score, volume, IoU, colour) or its photographs (PSNR, SSIM)");
     app->fallthrough();
     app->add_option("mesh", raw->mesh, "mesh, or a result folder")->required();
     app->add_option("--truth", raw->truth, "the true mesh; with vertex colours, colours are compared too");
     app->add_option("--photos", raw->photos, "a scene: the coloured mesh is rendered into its cameras and compared with its photographs (PSNR, SSIM)");
     app->add_flag("--from-volume", raw->from_volume, "render the colour of volume.vdb instead of the vertices' (--photos)");
     app->add_option("--save", raw->save, "folder for pictures, photograph and rendering side by side (--photos)");
-    app->add_option("--align", raw->align, "similarity before comparing: none, cameras, points")->capture_default_str()->check(CLI::IsMember({"none", "cameras", "points"}));
+    app->add_option("--align", raw->align, "similarity before comparing: none, cameras, points")
+        ->capture_default_str()
+        ->check(CLI::IsMember({"none", "cameras", "points"}));
     app->add_option("--cameras", raw->cameras, "cameras that belong to the mesh (--align cameras), or of the photographs (--photos)");
     app->add_option("--truth-cameras", raw->truth_cameras, "the same cameras in the truth's frame");
     app->add_option("--points", raw->points, "text file, six numbers a line: a point of the mesh, the same of the truth (--align points)");
     app->add_option("--threshold", raw->options.threshold, "distance for completeness and F-score (0: 1 % of the truth's largest side)")->check(zero_or_more());
     app->add_option("--samples", raw->options.samples, "points on each surface")->capture_default_str()->check(CLI::Range(100, 100000000));
-    app->footer("Examples:\n"
-                "  vdbcarve evaluate out --truth shoot/truth.ply                            distances, volume, F-score\n"
-                "  vdbcarve evaluate out --truth scan.stl --align cameras --truth-cameras true.json   a scan in a frame of its own\n"
-                "  vdbcarve evaluate out --photos shoot --save pairs                        how like its photographs it is");
-    return {app, [raw](Common& common, Progress& progress) {
+    app->footer(
+        "Examples:\n"
+        "  vdbcarve evaluate out --truth shoot/truth.ply                            distances, volume, F-score\n"
+        "  vdbcarve evaluate out --truth scan.stl --align cameras --truth-cameras true.json   a scan in a frame of its own\n"
+        "  vdbcarve evaluate out --photos shoot --save pairs                        how like its photographs it is");
+    return {app,
+            [raw](Common& common, Progress& progress) {
                 if (raw->truth.empty() && raw->photos.empty()) throw UsageError("evaluate: give --truth, --photos or both");
                 const fs::path result = fs::is_directory(raw->mesh) ? raw->mesh : fs::path();
                 const fs::path mesh_file = result.empty() ? raw->mesh : result / "mesh.ply";
                 // A result for another program lies in that one's axes and units: back to the scene's.
                 const FileFrame frame = frame_from_scene(mesh_file.parent_path(), mesh_file.filename().string());
-                if (raw->from_volume && !result.empty() && frame_from_scene(result, "volume.vdb").moves()) throw UsageError("--from-volume: the volume was made for another program (--dcc), and lies elsewhere than the cameras");
+                if (raw->from_volume && !result.empty() && frame_from_scene(result, "volume.vdb").moves())
+                    throw UsageError("--from-volume: the volume was made for another program (--dcc), and lies elsewhere than the cameras");
                 const Mesh mesh = in_frame(read_mesh(mesh_file), inverse(frame));
                 std::vector<PhotoComparison> photos;
                 if (!raw->photos.empty()) {
-                    if (mesh.colors.empty() && !raw->from_volume) throw InputError(mesh_file.string() + ": has no vertex colours. Remedy: reconstruct with --color blend, from photographs");
+                    if (mesh.colors.empty() && !raw->from_volume)
+                        throw InputError(mesh_file.string() + ": has no vertex colours. Remedy: reconstruct with --color blend, from photographs");
                     ViewsOptions o;
                     o.scene = raw->photos;
                     if (raw->align != "cameras") o.cameras = raw->cameras;
@@ -156,17 +175,25 @@ Command add_evaluate(CLI::App& program) {
                     std::cout << j.dump(1) << "\n";
                     return 0;
                 }
-                if (raw->align != "none") std::printf("lengths are the truth's; the mesh was brought there by --align %s, scale x%.6g\n", raw->align.c_str(), raw->options.align->scale);
-                std::printf("accuracy (mesh to truth)      mean %.6g  median %.6g  90 %% %.6g  max %.6g\n", e.to_truth.mean, e.to_truth.median, e.to_truth.p90, e.to_truth.max);
-                std::printf("completeness (truth to mesh)  mean %.6g  median %.6g  90 %% %.6g  max %.6g\n", e.from_truth.mean, e.from_truth.median, e.from_truth.p90, e.from_truth.max);
+                if (raw->align != "none")
+                    std::printf("lengths are the truth's; the mesh was brought there by --align %s, scale x%.6g\n", raw->align.c_str(),
+                                raw->options.align->scale);
+                std::printf("accuracy (mesh to truth)      mean %.6g  median %.6g  90 %% %.6g  max %.6g\n", e.to_truth.mean, e.to_truth.median, e.to_truth.p90,
+                            e.to_truth.max);
+                std::printf("completeness (truth to mesh)  mean %.6g  median %.6g  90 %% %.6g  max %.6g\n", e.from_truth.mean, e.from_truth.median,
+                            e.from_truth.p90, e.from_truth.max);
                 std::printf("Chamfer %.6g, Hausdorff 95 %% %.6g, max %.6g\n", e.chamfer, e.hausdorff95, e.hausdorff);
-                std::printf("within %.6g: precision %.2f %%, recall %.2f %%, F-score %.2f %%\n", e.threshold, 100 * e.to_truth.within, 100 * e.from_truth.within, 100 * e.f_score);
-                std::printf("volume %.6g, truth %.6g, excess %+.2f %%; IoU %.4f, truth lost %.3f %%\n", e.volume, e.truth_volume, 100 * e.volume_excess, e.iou, 100 * e.truth_lost);
-                if (!std::isnan(e.color_median)) std::printf("colours off by (CIEDE2000)    mean %.2f  median %.2f  95 %% %.2f\n", e.color_mean, e.color_median, e.color_p95);
+                std::printf("within %.6g: precision %.2f %%, recall %.2f %%, F-score %.2f %%\n", e.threshold, 100 * e.to_truth.within,
+                            100 * e.from_truth.within, 100 * e.f_score);
+                std::printf("volume %.6g, truth %.6g, excess %+.2f %%; IoU %.4f, truth lost %.3f %%\n", e.volume, e.truth_volume, 100 * e.volume_excess, e.iou,
+                            100 * e.truth_lost);
+                if (!std::isnan(e.color_median))
+                    std::printf("colours off by (CIEDE2000)    mean %.2f  median %.2f  95 %% %.2f\n", e.color_mean, e.color_median, e.color_p95);
                 std::printf("normals off by %.2f degrees on average, median %.2f\n", e.normal_error_mean_deg, e.normal_error_median_deg);
                 print_photos(photos, !result.empty(), common.verbose);
                 return 0;
-            }, Says::Document};
+            },
+            Says::Document};
 }
 
 }  // namespace vdbcarve::cli

@@ -35,7 +35,8 @@ fs::path source_for(const fs::path& in, const fs::path& out) {
     if (is_volume(out)) names = {"volume.vdb", "hull.vdb"};
     for (const char* name : names)
         if (fs::exists(in / name)) return in / name;
-    if (is_volume(out) && fs::is_directory(in / "hull_bricks")) throw InputError((in / "hull_bricks").string() + ": the hull lies in bricks; convert them one by one");
+    if (is_volume(out) && fs::is_directory(in / "hull_bricks"))
+        throw InputError((in / "hull_bricks").string() + ": the hull lies in bricks; convert them one by one");
     throw InputError(in.string() + ": holds no " + (is_volume(out) ? "volume" : "mesh") + " of vdbcarve's. Remedy: `vdbcarve reconstruct` makes one");
 }
 
@@ -60,7 +61,8 @@ void convert_cameras(const Raw& raw, const fs::path& to, Progress& progress) {
     if (fs::exists(in / "cameras.json") && fs::exists(in / "report.json")) {
         views = result_views(in, raw.views.images, progress);
         if (fs::is_directory(in / "masks")) options.masks = in / "masks";
-        if (fs::exists(in / "mesh.ply") && extension_of(to).empty()) options.points = in_frame(read_mesh(in / "mesh.ply"), inverse(frame_from_scene(in, "mesh.ply")));
+        if (fs::exists(in / "mesh.ply") && extension_of(to).empty())
+            options.points = in_frame(read_mesh(in / "mesh.ply"), inverse(frame_from_scene(in, "mesh.ply")));
     } else {
         ViewsOptions from = raw.views;
         from.scene = fs::is_directory(in) ? in : in.parent_path().empty() ? fs::path(".") : in.parent_path();
@@ -78,12 +80,16 @@ void check_target(const fs::path& from, const fs::path& to) {
     const std::string extension = extension_of(to);
     if (is_for_cameras(to)) {
         if (!fs::exists(from)) throw InputError(from.string() + ": no such file or folder");
-        if (extension.empty() && fs::is_directory(to) && !fs::is_empty(to) && !fs::is_directory(to / "sparse")) throw OutputError(to.string() + ": is not empty. Remedy: another -o");
+        if (extension.empty() && fs::is_directory(to) && !fs::is_empty(to) && !fs::is_directory(to / "sparse"))
+            throw OutputError(to.string() + ": is not empty. Remedy: another -o");
         return;
     }
     if (extension != ".vdb" && extension != ".nvdb" && extension != ".ply" && extension != ".obj" && extension != ".stl" && extension != ".glb")
-        throw UsageError(to.string() + ": the extension says what to write; .vdb, .nvdb, .ply, .obj, .stl, .glb and .json (cameras) are known, and a folder, which has none (COLMAP)");
-    if (is_volume(from) != is_volume(to)) throw UsageError(to.string() + " cannot be made of " + from.string() + ": volumes become .vdb or .nvdb, meshes .ply, .obj, .stl or .glb");
+        throw UsageError(
+            to.string() +
+            ": the extension says what to write; .vdb, .nvdb, .ply, .obj, .stl, .glb and .json (cameras) are known, and a folder, which has none (COLMAP)");
+    if (is_volume(from) != is_volume(to))
+        throw UsageError(to.string() + " cannot be made of " + from.string() + ": volumes become .vdb or .nvdb, meshes .ply, .obj, .stl or .glb");
     if (extension != to.extension().string()) throw UsageError(to.string() + ": write the extension in small letters");
     std::error_code ignored;
     if (fs::equivalent(from, to, ignored)) throw UsageError(to.string() + ": is the input itself");
@@ -96,7 +102,8 @@ FrameRequest frame_of(const Raw& raw, const fs::path& source) {
         try {
             std::ifstream in(source.parent_path() / "report.json");
             const auto report = nlohmann::json::parse(in);
-            const auto& said = report.contains("files") && report["files"].contains(source.filename().string()) ? report["files"][source.filename().string()] : report.at("cameras");
+            const auto& said = report.contains("files") && report["files"].contains(source.filename().string()) ? report["files"][source.filename().string()]
+                                                                                                                : report.at("cameras");
             if (out.up.empty()) out.up = said.at("up").get<std::string>();
             if (out.units.empty()) out.units = said.at("units").get<std::string>();
         } catch (const nlohmann::json::exception&) {
@@ -125,11 +132,13 @@ void convert_volume(const fs::path& from, const fs::path& to, FrameRequest reque
     const FileFrame frame = file_frame(extension_of(to), request);
     openvdb::GridCPtrVec grids;
     for (const openvdb::GridBase::Ptr& grid : all) {
-        if (extension_of(to) == ".nvdb" && !grid->isType<openvdb::FloatGrid>() && !grid->isType<openvdb::Vec3SGrid>() && !grid->isType<openvdb::Int32Grid>() && !grid->isType<openvdb::MaskGrid>()) {
+        if (extension_of(to) == ".nvdb" && !grid->isType<openvdb::FloatGrid>() && !grid->isType<openvdb::Vec3SGrid>() && !grid->isType<openvdb::Int32Grid>() &&
+            !grid->isType<openvdb::MaskGrid>()) {
             spdlog::warn("grid '{}' ({}) is left out: NanoVDB has no such type", grid->getName(), grid->valueType());
             continue;
         }
-        if (request.dcc != Dcc::None && grid->isType<openvdb::Vec3SGrid>() && (grid->getName() == "color" || grid->getName() == "Cd")) grid->setName(color_grid_name(request.dcc));
+        if (request.dcc != Dcc::None && grid->isType<openvdb::Vec3SGrid>() && (grid->getName() == "color" || grid->getName() == "Cd"))
+            grid->setName(color_grid_name(request.dcc));
         grids.push_back(in_frame(openvdb::GridBase::ConstPtr(grid), frame));
     }
     if (grids.empty()) throw InputError(from.string() + ": has no grid that can be written");
@@ -164,19 +173,24 @@ Command add_export(CLI::App& program) {
     CLI::App* app = program.add_subcommand("export", "convert a result or a file: .vdb .nvdb; .ply .obj .stl .glb; cameras for COLMAP and nerfstudio");
     app->fallthrough();
     app->add_option("in", raw->in, "a result's folder, a volume or a mesh")->required();
-    app->add_option("-o,--output", raw->out, "files to write, by extension; transforms.json: cameras for nerfstudio; a folder: cameras for COLMAP, in its sparse/0")->required();
-    app->add_flag("--undistort", raw->undistort, "with cameras: write photographs without their lens's distortion too (and masks), into images/ and masks/ beside them");
+    app->add_option("-o,--output", raw->out,
+                    "files to write, by extension; transforms.json: cameras for nerfstudio; a folder: cameras for COLMAP, in its sparse/0")
+        ->required();
+    app->add_flag("--undistort", raw->undistort,
+                  "with cameras: write photographs without their lens's distortion too (and masks), into images/ and masks/ beside them");
     app->add_option("--images", raw->views.images, "with cameras: folder of photographs (default: where the result's report says)");
-    app->add_option("--up", raw->frame.up, "the input's up axis (default: what a result's report or a volume's metadata say; y of .obj and .glb)")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
+    app->add_option("--up", raw->frame.up, "the input's up axis (default: what a result's report or a volume's metadata say; y of .obj and .glb)")
+        ->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
     app->add_option("--units", raw->frame.units, "the input's unit of length: m, cm, mm, inch … (default: likewise)");
     add_dcc_option(*app, raw->frame.dcc);
     app->add_flag("--stl-mm", raw->frame.stl_mm, ".stl in millimetres, for printers");
     app->add_flag("--vdb-half", raw->half, "16-bit floats in .vdb: two thirds of the size, three digits");
-    app->footer("Examples:\n"
-                "  vdbcarve export out -o model.glb model.obj                               the mesh in other formats\n"
-                "  vdbcarve export out -o volume.nvdb --dcc houdini                         the volume\n"
-                "  vdbcarve export out --undistort -o colmap                                photographs, masks and cameras for COLMAP, OpenMVS, splatting\n"
-                "  vdbcarve export out --undistort -o nerf/transforms.json                  the same for nerfstudio");
+    app->footer(
+        "Examples:\n"
+        "  vdbcarve export out -o model.glb model.obj                               the mesh in other formats\n"
+        "  vdbcarve export out -o volume.nvdb --dcc houdini                         the volume\n"
+        "  vdbcarve export out --undistort -o colmap                                photographs, masks and cameras for COLMAP, OpenMVS, splatting\n"
+        "  vdbcarve export out --undistort -o nerf/transforms.json                  the same for nerfstudio");
     return {app, [raw](Common&, Progress& progress) {
                 if (raw->undistort && std::none_of(raw->out.begin(), raw->out.end(), [](const std::string& out) { return is_for_cameras(out); }))
                     throw UsageError("--undistort is of cameras: -o FOLDER or -o transforms.json");

@@ -14,11 +14,13 @@ Command add_info(CLI::App& program) {
     CLI::App* app = program.add_subcommand("info", "grids, cameras and meshes in words");
     app->fallthrough();
     app->add_option("file", *file, ".vdb, .nvdb, .ply, .obj, .stl, a camera file, a scene or a result")->required();
-    app->footer("Examples:\n"
-                "  vdbcarve info out                                                        a result: volume, mesh and cameras\n"
-                "  vdbcarve info shoot                                                      a scene's cameras\n"
-                "  vdbcarve --json - info out/volume.vdb                                    for programs");
-    return {app, [file](Common& common, Progress& progress) {
+    app->footer(
+        "Examples:\n"
+        "  vdbcarve info out                                                        a result: volume, mesh and cameras\n"
+        "  vdbcarve info shoot                                                      a scene's cameras\n"
+        "  vdbcarve --json - info out/volume.vdb                                    for programs");
+    return {app,
+            [file](Common& common, Progress& progress) {
                 const std::string text = info_json(*file, progress);
                 if (common.json == "-") {
                     std::cout << text << "\n";
@@ -42,7 +44,8 @@ Command add_info(CLI::App& program) {
                     print(j, 0);
                 }
                 return 0;
-            }, Says::Document};
+            },
+            Says::Document};
 }
 
 }  // namespace vdbcarve::cli

@@ -24,15 +24,20 @@ Command add_report(CLI::App& program) {
     app->add_option("--faces", o.most_faces, "of the model in the page (0: a picture instead)")->capture_default_str()->check(CLI::Range(0, 10000000));
     app->add_option("--photos", o.most_photos, "so many photographs, the worst ones")->capture_default_str();
     app->add_option("--photo-width", o.photo_width_px, "of a photograph, pixels")->capture_default_str()->check(CLI::Range(64, 4096));
-    app->add_option("--size", raw->most_megabytes, "megabytes of the page: the model gets coarser until it fits")->capture_default_str()->check(CLI::Range(1.5, 2000.0));
-    app->footer("Examples:\n"
-                "  vdbcarve report out                                                      out/report.html, one file, opens without a network\n"
-                "  vdbcarve report out --size 5 --photos 24 -o page.html                    a small one, to be sent");
+    app->add_option("--size", raw->most_megabytes, "megabytes of the page: the model gets coarser until it fits")
+        ->capture_default_str()
+        ->check(CLI::Range(1.5, 2000.0));
+    app->footer(
+        "Examples:\n"
+        "  vdbcarve report out                                                      out/report.html, one file, opens without a network\n"
+        "  vdbcarve report out --size 5 --photos 24 -o page.html                    a small one, to be sent");
     return {app, [raw](Common&, Progress& progress) {
                 raw->options.most_bytes = static_cast<size_t>(raw->most_megabytes * 1e6);
-                const std::filesystem::path file = raw->output.empty() ? std::filesystem::path(raw->result) / "report.html" : std::filesystem::path(raw->output);
+                const std::filesystem::path file =
+                    raw->output.empty() ? std::filesystem::path(raw->result) / "report.html" : std::filesystem::path(raw->output);
                 const size_t bytes = write_report(raw->result, file, raw->options, progress);
-                spdlog::info("{}: {:.1f} MB{}", file.string(), static_cast<double>(bytes) / 1e6, report_has_viewer() ? "" : ", without the 3-D viewer (built without it)");
+                spdlog::info("{}: {:.1f} MB{}", file.string(), static_cast<double>(bytes) / 1e6,
+                             report_has_viewer() ? "" : ", without the 3-D viewer (built without it)");
                 return 0;
             }};
 }

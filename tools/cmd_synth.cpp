@@ -18,7 +18,8 @@ struct Raw {
     uint64_t seed = 0;
     bool masks_only = false, force = false, orthographic = false;
     std::string motion, lens;
-    std::optional<double> elevation, start, arc, speed, breathing, crop_drift, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius, mask_share;
+    std::optional<double> elevation, start, arc, speed, breathing, crop_drift, gloss, blur, noise, mask_noise, mask_correlation, mask_dilate, mask_radius,
+        mask_share;
     std::optional<int> sittings, jpeg, holes, blobs;
     bool table = false, exif = false, flat = false, plates = false;
     std::optional<double> exposure_jitter, light_drift, spill, film;
@@ -118,26 +119,41 @@ Command add_synth(CLI::App& program) {
     app->add_option("--width", raw->width, "image width, px (640)")->check(CLI::Range(2, 16384));
     app->add_option("--height", raw->height, "image height, px (480)")->check(CLI::Range(2, 16384));
     app->add_option("--fov", raw->fov, "vertical field of view, degrees (30)")->check(CLI::Range(1.0, 160.0));
-    app->add_option("--shake", raw->shake, "unsteady hand: 1 = 4 deg of angle, 3 of elevation, 1.5 of roll, 2 % of position and aim")->check(CLI::Range(0.0, 5.0));
+    app->add_option("--shake", raw->shake, "unsteady hand: 1 = 4 deg of angle, 3 of elevation, 1.5 of roll, 2 % of position and aim")
+        ->check(CLI::Range(0.0, 5.0));
     app->add_option("--seed", raw->seed, "of everything random (1)");
     app->add_flag("--orthographic", raw->orthographic, "parallel projection");
     app->add_option("--elevation", raw->elevation, "of an orbit, degrees (10)")->check(CLI::Range(-85.0, 85.0))->group("Motion");
-    app->add_option("--motion", raw->motion, "camera: it walks around; turntable: the object turns, light and shadow stay with the camera")->check(CLI::IsMember({"camera", "turntable"}))->group("Motion");
+    app->add_option("--motion", raw->motion, "camera: it walks around; turntable: the object turns, light and shadow stay with the camera")
+        ->check(CLI::IsMember({"camera", "turntable"}))
+        ->group("Motion");
     app->add_option("--start", raw->start, "azimuth of the first view, degrees")->group("Motion");
     app->add_option("--arc", raw->arc, "degrees that the views are spread over (360); more than 360: arcs overlap")->group("Motion");
     app->add_option("--speed-variation", raw->speed, "smooth changes of angular speed, share of the mean")->check(CLI::Range(0.0, 0.9))->group("Motion");
-    app->add_option("--sittings", raw->sittings, "2: half of the views show the object laid on its side; each half goes once half around (align: --sittings N,N --arc 180, where the rig has one ring)")->check(CLI::Range(1, 2))->group("Motion");
+    app->add_option("--sittings", raw->sittings,
+                    "2: half of the views show the object laid on its side; each half goes once half around (align: --sittings N,N --arc 180, where the rig "
+                    "has one ring)")
+        ->check(CLI::Range(1, 2))
+        ->group("Motion");
     app->add_option("--lens", raw->lens, "k1,k2,p1,p2: distortion of photos and masks (OpenCV's model)")->group("Camera");
     app->add_option("--breathing", raw->breathing, "the focal length wanders by up to this share")->check(CLI::Range(0.0, 0.5))->group("Camera");
-    app->add_option("--crop-drift", raw->crop_drift, "the principal point wanders by up to so many pixels (a stabiliser's crop)")->check(CLI::Range(0.0, 1000.0))->group("Camera");
-    app->add_option("--film", raw->film, "the photographs also as film.mp4, with so many frames a second (--views says how many)")->check(CLI::Range(1.0, 240.0))->group("Camera");
+    app->add_option("--crop-drift", raw->crop_drift, "the principal point wanders by up to so many pixels (a stabiliser's crop)")
+        ->check(CLI::Range(0.0, 1000.0))
+        ->group("Camera");
+    app->add_option("--film", raw->film, "the photographs also as film.mp4, with so many frames a second (--views says how many)")
+        ->check(CLI::Range(1.0, 240.0))
+        ->group("Camera");
     app->add_option("--blur", raw->blur, "defocus, standard deviation in px")->check(CLI::Range(0.0, 50.0))->group("Camera");
     app->add_option("--noise", raw->noise, "sensor noise, standard deviation in 8-bit steps")->check(CLI::Range(0.0, 100.0))->group("Camera");
     app->add_option("--jpeg", raw->jpeg, "photos as .jpg of this quality")->check(CLI::Range(1, 100))->group("Camera");
     app->add_flag("--exif", raw->exif, ".jpg with the focal length in EXIF")->group("Camera");
     app->add_option("--texture", raw->texture, "picture for a mesh with texture coordinates (.obj)")->group("Light");
-    app->add_option("--pattern", raw->pattern, "of what has no colours: clay (veins and blotches), checks (repeat themselves), plain (one colour)")->check(CLI::IsMember({"clay", "checks", "plain"}))->group("Light");
-    app->add_option("--exposure-jitter", raw->exposure_jitter, "photographs' exposures are off by up to this share")->check(CLI::Range(0.0, 0.9))->group("Light");
+    app->add_option("--pattern", raw->pattern, "of what has no colours: clay (veins and blotches), checks (repeat themselves), plain (one colour)")
+        ->check(CLI::IsMember({"clay", "checks", "plain"}))
+        ->group("Light");
+    app->add_option("--exposure-jitter", raw->exposure_jitter, "photographs' exposures are off by up to this share")
+        ->check(CLI::Range(0.0, 0.9))
+        ->group("Light");
     app->add_option("--backdrop", raw->backdrop, "r,g,b: a cloth of this colour (linear, 0..1) behind everything, unevenly lit")->group("Light");
     app->add_option("--spill", raw->spill, "share of the cloth's light on the object's rim")->check(CLI::Range(0.0, 1.0))->group("Light");
     app->add_option("--light-drift", raw->light_drift, "lamps wander by up to this share, colour and side too")->check(CLI::Range(0.0, 0.9))->group("Light");
@@ -145,19 +161,26 @@ Command add_synth(CLI::App& program) {
     app->add_flag("--flat", raw->flat, "no lamps: the object's own colours")->group("Light");
     app->add_option("--gloss", raw->gloss, "strength of highlights, 0..1")->check(CLI::Range(0.0, 1.0))->group("Light");
     app->add_flag("--table", raw->table, "a table under the object, with its shadow and reflection")->group("Light");
-    app->add_option("--mask-noise", raw->mask_noise, "masks' contours off by this many px (standard deviation)")->check(CLI::Range(0.0, 50.0))->group("Bad masks");
-    app->add_option("--mask-correlation", raw->mask_correlation, "over this many px (0: every pixel by itself)")->check(CLI::Range(0.0, 500.0))->group("Bad masks");
-    app->add_option("--mask-dilate", raw->mask_dilate, "masks too large by this many px (negative: too small)")->check(CLI::Range(-50.0, 50.0))->group("Bad masks");
+    app->add_option("--mask-noise", raw->mask_noise, "masks' contours off by this many px (standard deviation)")
+        ->check(CLI::Range(0.0, 50.0))
+        ->group("Bad masks");
+    app->add_option("--mask-correlation", raw->mask_correlation, "over this many px (0: every pixel by itself)")
+        ->check(CLI::Range(0.0, 500.0))
+        ->group("Bad masks");
+    app->add_option("--mask-dilate", raw->mask_dilate, "masks too large by this many px (negative: too small)")
+        ->check(CLI::Range(-50.0, 50.0))
+        ->group("Bad masks");
     app->add_option("--mask-holes", raw->holes, "holes a mask")->check(CLI::Range(0, 100))->group("Bad masks");
     app->add_option("--mask-blobs", raw->blobs, "blobs a mask")->check(CLI::Range(0, 100))->group("Bad masks");
     app->add_option("--mask-radius", raw->mask_radius, "of holes and blobs, px (14)")->check(CLI::Range(1.0, 500.0))->group("Bad masks");
     app->add_option("--mask-share", raw->mask_share, "share of the views with holes and blobs (1)")->check(CLI::Range(0.0, 1.0))->group("Bad masks");
     app->add_flag("--masks-only", raw->masks_only, "no photographs");
     app->add_flag("--force", raw->force, "write into a folder that is not empty");
-    app->footer("Examples:\n"
-                "  vdbcarve synth cup -o shoot                                              36 views around\n"
-                "  vdbcarve synth statue.ply --rig dome --views 72 -o shoot                 a mesh of your own\n"
-                "  vdbcarve synth cup --masks-only --mask-holes 2 --mask-share 0.1 -o shoot   masks with mistakes");
+    app->footer(
+        "Examples:\n"
+        "  vdbcarve synth cup -o shoot                                              36 views around\n"
+        "  vdbcarve synth statue.ply --rig dome --views 72 -o shoot                 a mesh of your own\n"
+        "  vdbcarve synth cup --masks-only --mask-holes 2 --mask-share 0.1 -o shoot   masks with mistakes");
     return {app, [raw](Common&, Progress& progress) {
                 const SyntheticSpec spec = spec_of(*raw);
                 if (!raw->force && std::filesystem::is_directory(raw->output) && !std::filesystem::is_empty(raw->output))

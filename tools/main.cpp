@@ -96,7 +96,9 @@ std::vector<double> numbers(const std::string& option, const std::string& text, 
 }
 
 std::array<uint8_t, 3> rgb8_of(const std::string& option, const std::string& text, const std::string& words) {
-    const auto refuse = [&] { return UsageError(option + " " + text + ": must be " + (words.empty() ? "" : words + ", ") + "R,G,B within 0..255, or #rrggbb, like #00b140"); };
+    const auto refuse = [&] {
+        return UsageError(option + " " + text + ": must be " + (words.empty() ? "" : words + ", ") + "R,G,B within 0..255, or #rrggbb, like #00b140");
+    };
     std::array<uint8_t, 3> out{};
     if (text.size() == 7 && text[0] == '#' && text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos) {
         for (size_t k = 0; k < 3; ++k) out[k] = static_cast<uint8_t>(std::stoi(text.substr(1 + 2 * k, 2), nullptr, 16));
@@ -165,13 +167,28 @@ int run_program(const std::vector<std::string>& words) {
     program.add_option("--json", common.json, "'-': JSON on stdout, one event a line, the report last")->check(CLI::IsMember({"-"}));
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
 
-    std::vector<cli::Command> commands{cli::add_reconstruct(program), cli::add_watch(program), cli::add_align(program), cli::add_mask(program), cli::add_carve(program),
-                                       cli::add_synth(program),       cli::add_info(program), cli::add_clean(program), cli::add_check(program), cli::add_evaluate(program), cli::add_export(program), cli::add_render(program), cli::add_report(program), cli::add_bundle(program), cli::add_bench(program), cli::add_board(program),
-                                       cli::add_again(program, "stereo", "carve a result's concavities by its photographs' depths: OUT and options of reconstruct", "--stereo-scale 1"),
-                                       cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
-                                       cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
-                                       cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
-                                       cli::add_again(program, "smooth", "smooth or decimate a result's mesh anew: OUT and options of reconstruct", "--smooth 10 --faces 50000")};
+    std::vector<cli::Command> commands{
+        cli::add_reconstruct(program),
+        cli::add_watch(program),
+        cli::add_align(program),
+        cli::add_mask(program),
+        cli::add_carve(program),
+        cli::add_synth(program),
+        cli::add_info(program),
+        cli::add_clean(program),
+        cli::add_check(program),
+        cli::add_evaluate(program),
+        cli::add_export(program),
+        cli::add_render(program),
+        cli::add_report(program),
+        cli::add_bundle(program),
+        cli::add_bench(program),
+        cli::add_board(program),
+        cli::add_again(program, "stereo", "carve a result's concavities by its photographs' depths: OUT and options of reconstruct", "--stereo-scale 1"),
+        cli::add_again(program, "color", "colour a result anew: OUT and options of reconstruct", "--color best"),
+        cli::add_again(program, "filter", "filter a result anew: OUT and options of reconstruct", "--filter edge-preserving:2x2"),
+        cli::add_again(program, "mesh", "mesh a result anew: OUT and options of reconstruct", "--mesher marching-cubes --mesh-formats stl"),
+        cli::add_again(program, "smooth", "smooth or decimate a result's mesh anew: OUT and options of reconstruct", "--smooth 10 --faces 50000")};
     // After the commands, which would take it for theirs.
     program.footer(
         "Examples:\n"
@@ -193,7 +210,8 @@ int run_program(const std::vector<std::string>& words) {
         "  vdbcarve bundle out                               what somebody needs to see why it failed, in one file\n"
         "  vdbcarve bench                                    how fast this machine carves"
         "\n"
-        "Exit codes: " + std::string(cli::kExitCodes));
+        "Exit codes: " +
+        std::string(cli::kExitCodes));
     if (words.size() == 2 && words[0] == "--write-pages") {  // for the build
         try {
             cli::write_pages(program, words[1]);
@@ -206,7 +224,7 @@ int run_program(const std::vector<std::string>& words) {
     const bool json = wants_json(words);
     try {
         program.parse(std::vector<std::string>(words.rbegin(), words.rend()));  // as CLI11 wants them
-    } catch (const Error& e) {  // a value that an option's own reader refused
+    } catch (const Error& e) {                                                  // a value that an option's own reader refused
         return refuse(json, e.code(), e.what());
     } catch (const CLI::ParseError& e) {
         // CLI11 would only say that a command is missing where an unknown one was given.
@@ -219,7 +237,8 @@ int run_program(const std::vector<std::string>& words) {
             for (const std::string& word : program.remaining(true))
                 if (word[0] == '-') {
                     const std::string near = nearest_option(*command, word);
-                    unknown += (unknown.empty() ? "" : "; ") + word + " is no option" + (command == &program ? "" : " of " + command->get_name()) + (near.empty() ? "" : ". Is " + near + " meant?");
+                    unknown += (unknown.empty() ? "" : "; ") + word + " is no option" + (command == &program ? "" : " of " + command->get_name()) +
+                               (near.empty() ? "" : ". Is " + near + " meant?");
                 }
             if (!unknown.empty()) {
                 return refuse(json, ExitCode::Usage, unknown + (unknown.back() == '?' ? "" : ".") + " --help lists them");
@@ -248,7 +267,8 @@ int run_program(const std::vector<std::string>& words) {
         if (bar.on_screen()) bar.clear();
         spdlog::log(level, "{}", text);
     };
-    const bool streams = common.json == "-" && std::any_of(commands.begin(), commands.end(), [](const cli::Command& c) { return c.says == cli::Says::Events && c.app->parsed(); });
+    const bool streams = common.json == "-" &&
+                         std::any_of(commands.begin(), commands.end(), [](const cli::Command& c) { return c.says == cli::Says::Events && c.app->parsed(); });
     const auto event = [&](const nlohmann::ordered_json& what) {
         if (streams) write_event(what);
     };

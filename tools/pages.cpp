@@ -170,7 +170,8 @@ void write_pages(const CLI::App& program, const fs::path& folder) {
         write_file(folder / ((file == "vdbcarve" ? file : "vdbcarve-" + file) + ".1"), man.text());
     };
     write(program, "vdbcarve", "vdbcarve");
-    for (const CLI::App* command : program.get_subcommands([](const CLI::App*) { return true; })) write(*command, "vdbcarve " + command->get_name(), command->get_name());
+    for (const CLI::App* command : program.get_subcommands([](const CLI::App*) { return true; }))
+        write(*command, "vdbcarve " + command->get_name(), command->get_name());
 }
 
 }  // namespace vdbcarve::cli

@@ -30,7 +30,7 @@ BenchScene load_bench_scene(const std::filesystem::path& folder, const std::opti
 
 struct BenchCase {
     std::array<int, 3> dims;  ///< voxels; the bounds are stretched to their shape
-    int views;  ///< 0: all that the scene has
+    int views;                ///< 0: all that the scene has
 };
 
 /// The paper's six volumes with 36 views, then 512^3 with other numbers of views.
@@ -39,12 +39,12 @@ std::vector<BenchCase> paper_cases();
 struct BenchOptions {
     std::function<BenchScene(int views)> scene = bench_spheres;
     std::vector<BenchCase> cases{{{512, 256, 512}, 36}, {{1024, 512, 1024}, 36}};
-    int runs = 3;               ///< medians of so many; the device, being quick, runs more often
-    bool cpu = true;            ///< time the CPU
+    int runs = 3;                ///< medians of so many; the device, being quick, runs more often
+    bool cpu = true;             ///< time the CPU
     bool single_thread = false;  ///< and with one thread
-    bool dense = true;          ///< also the dense method, where its volume fits dense_limit_bytes
+    bool dense = true;           ///< also the dense method, where its volume fits dense_limit_bytes
     size_t dense_limit_bytes = size_t{6} << 30;
-    bool stages = true;         ///< also level_set and mesh
+    bool stages = true;              ///< also level_set and mesh
     Backend backend = Backend::Cpu;  ///< Cuda: also on the device. Not Auto: see choose_backend
     int device = 0;
 };
@@ -54,12 +54,12 @@ struct BenchOptions {
 struct BenchDevice {
     double upload = 0;  ///< masks to the device
     double distance = 0, nodes = 0, leaves = 0, topology = 0, level_set = 0, mesh = 0;
-    double fields_to_hull = 0;   ///< wall: fields on the device to hull on the device
-    double host_to_hull = 0;     ///< wall: masks in host memory to hull on the device, fields included
-    double device_to_mesh = 0;   ///< wall: masks on the device to closed mesh (marching cubes of the level set) on the device
-    double host_to_mesh = 0;     ///< wall: masks in host memory to closed mesh on the device
+    double fields_to_hull = 0;  ///< wall: fields on the device to hull on the device
+    double host_to_hull = 0;    ///< wall: masks in host memory to hull on the device, fields included
+    double device_to_mesh = 0;  ///< wall: masks on the device to closed mesh (marching cubes of the level set) on the device
+    double host_to_mesh = 0;    ///< wall: masks in host memory to closed mesh on the device
     double download_hull = 0, openvdb_hull = 0, download_mesh = 0;  ///< wall: NanoVDB to the host; that and conversion to OpenVDB; mesh to the host
-    double dense = 0, dense_upload = 0;  ///< the dense method on the same device
+    double dense = 0, dense_upload = 0;                             ///< the dense method on the same device
     size_t bytes = 0, leaf_count = 0, vertices = 0, triangles = 0, node_tests = 0, voxel_lookups = 0;
 };
 
@@ -69,7 +69,7 @@ struct BenchRow {
     int views = 0;
     double fields_s = 0, carve_s = 0, fields_cpu_s = 0, carve_cpu_s = 0;
     double level_set_s = 0, mesh_s = 0, cubes_s = 0;
-    size_t carve_peak_bytes = 0;      ///< of the process while fields are made and carved
+    size_t carve_peak_bytes = 0;  ///< of the process while fields are made and carved
     size_t level_set_peak_bytes = 0;
     size_t field_bytes = 0, hull_bytes = 0, leaves = 0, active_voxels = 0, node_tests = 0, voxel_lookups = 0;
     double dense_s = 0, dense_cpu_s = 0;  ///< 0: not run

@@ -15,9 +15,10 @@ struct BundleOptions {
     bool photos = false;           ///< photographs, and the model with its colours; otherwise silhouettes and the bare shape are all that is shown
 };
 
-/// Writes a .tar.gz with report.json and report.html, config.toml, what the last run failed of, versions of program, libraries and machine, and `scene`, a scene of masks and cameras that the
-/// run can be repeated with at the masks' size. Lenses are removed already; what masks ignore is not in it. Of a folder that reconstruct, carve, align or mask made, finished or not. The same
-/// folder gives the same bytes on the same machine. Returns the archive's bytes. Throws InputError where the folder is none of ours or holds no mask, and OutputError.
+/// Writes a .tar.gz with report.json and report.html, config.toml, what the last run failed of, versions of program, libraries and machine, and `scene`, a
+/// scene of masks and cameras that the run can be repeated with at the masks' size. Lenses are removed already; what masks ignore is not in it. Of a folder
+/// that reconstruct, carve, align or mask made, finished or not. The same folder gives the same bytes on the same machine. Returns the archive's bytes. Throws
+/// InputError where the folder is none of ours or holds no mask, and OutputError.
 size_t bundle(const std::filesystem::path& result, const std::filesystem::path& file, const BundleOptions& options, Progress& progress);
 
 }  // namespace vdbcarve

@@ -50,26 +50,26 @@ struct CarveInput {
 
 struct CarveOptions {
     Lattice lattice;
-    Box3d bounds_world;           ///< the hull is clipped to this box (flat caps)
-    int max_misses = 0;           ///< so many views may show background and the voxel stays (k of n)
-    double min_seen = 0.6;        ///< share of the views that must have a point in frame
+    Box3d bounds_world;     ///< the hull is clipped to this box (flat caps)
+    int max_misses = 0;     ///< so many views may show background and the voxel stays (k of n)
+    double min_seen = 0.6;  ///< share of the views that must have a point in frame
     Outside outside = Outside::Unknown;
-    int half_width_vox = 3;       ///< narrow band on either side of the surface
-    bool occupancy = false;       ///< the paper's binary model: nearest pixel >= 1/2 in every view
-    bool allow_empty = false;     ///< an empty hull is a result, not an error
-    std::optional<IndexBox> brick;  ///< carve this part only; limits are multiples of 8
+    int half_width_vox = 3;          ///< narrow band on either side of the surface
+    bool occupancy = false;          ///< the paper's binary model: nearest pixel >= 1/2 in every view
+    bool allow_empty = false;        ///< an empty hull is a result, not an error
+    std::optional<IndexBox> brick;   ///< carve this part only; limits are multiples of 8
     Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
     int device = 0;                  ///< number of the CUDA device
 };
 
 struct CarveStatistics {
-    size_t node_tests = 0;       ///< node-view pairs asked
-    size_t voxel_lookups = 0;    ///< voxel-view pairs asked
-    size_t leaves = 0;           ///< leaves with surface
+    size_t node_tests = 0;     ///< node-view pairs asked
+    size_t voxel_lookups = 0;  ///< voxel-view pairs asked
+    size_t leaves = 0;         ///< leaves with surface
     size_t active_voxels = 0;
-    size_t bytes = 0;            ///< of the tree
-    size_t inside_voxels = 0;    ///< voxels of those leaves that are inside
-    double clipped_share = 0;    ///< share of the surface that is cap of the bounds
+    size_t bytes = 0;          ///< of the tree
+    size_t inside_voxels = 0;  ///< voxels of those leaves that are inside
+    double clipped_share = 0;  ///< share of the surface that is cap of the bounds
 };
 
 struct CarveResult {
@@ -90,14 +90,16 @@ CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& opt
 /// The same without all fields in memory at once: `fields_of(first, last)` makes those of the views first <= i < last,
 /// `batch` views at a time; the inputs' own are not looked at. Same bits as carve().
 using FieldSource = std::function<std::vector<DistanceField>(size_t first, size_t last)>;
-CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource& fields_of, const CarveOptions& options, Progress& progress);
+CarveResult carve_in_batches(const std::vector<CarveInput>& inputs, size_t batch, const FieldSource& fields_of, const CarveOptions& options,
+                             Progress& progress);
 
-/// A hull with more views: `hull` is what carve() makes of the inputs i < known, with these options; the result is what it makes of all, bit for bit, in whatever order views come.
-/// Without allowed misses, and where enough views have a place in frame before and after, a new view can only take away: the places that its silhouette's edge cuts are asked
-/// about it alone. Elsewhere (misses, --min-seen) the places where the new views say anything are asked of all views, whose fields `fields_of` then makes. Fields that must be there: those of the
-/// new views, and of known ones that ignore pixels. Not for occupancy or bricks. Cost: about the part of the new cones' edges that is in the bounds. The hull is used up. Statistics count what was
-/// asked now. Errors like carve().
-CarveResult extend_hull(openvdb::FloatGrid::Ptr hull, size_t known, const std::vector<CarveInput>& inputs, const FieldSource& fields_of, const CarveOptions& options, Progress& progress);
+/// A hull with more views: `hull` is what carve() makes of the inputs i < known, with these options; the result is what it makes of all, bit for bit, in
+/// whatever order views come. Without allowed misses, and where enough views have a place in frame before and after, a new view can only take away: the places
+/// that its silhouette's edge cuts are asked about it alone. Elsewhere (misses, --min-seen) the places where the new views say anything are asked of all views,
+/// whose fields `fields_of` then makes. Fields that must be there: those of the new views, and of known ones that ignore pixels. Not for occupancy or bricks.
+/// Cost: about the part of the new cones' edges that is in the bounds. The hull is used up. Statistics count what was asked now. Errors like carve().
+CarveResult extend_hull(openvdb::FloatGrid::Ptr hull, size_t known, const std::vector<CarveInput>& inputs, const FieldSource& fields_of,
+                        const CarveOptions& options, Progress& progress);
 
 /// How finely and how far out distance fields must be sampled for a carve.
 struct FieldPlan {
@@ -123,7 +125,8 @@ IndexBox voxels_in_bounds(const Lattice& lattice, const Box3d& bounds_world, int
 Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress);
 /// The same from masks (of the views, in their order), with fields of its own: of at most 1024 samples a side, from silhouettes
 /// that never shrink, so the box may be a sample too large. The views' fields are not looked at.
-Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<MaskView>& masks, double silhouette_offset_px, const CarveOptions& options, Progress& progress);
+Box3d automatic_bounds(const std::vector<CarveInput>& views, const std::vector<MaskView>& masks, double silhouette_offset_px, const CarveOptions& options,
+                       Progress& progress);
 
 /// What the kernels see of a view on a lattice. Borrows the input's fields.
 kernel::CarveView make_carve_view(const CarveInput& input, const CarveOptions& options);

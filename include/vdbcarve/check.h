@@ -17,7 +17,7 @@ struct CheckOptions {
     ViewsOptions views;
     MaskOptions mask;
     bool cameras = true, masks = true, images = true;  ///< what to look at; masks made of photographs read those in any case
-    int resolution = 192;               ///< of the hull that masks are compared with
+    int resolution = 192;                              ///< of the hull that masks are compared with
     double min_seen = 0.6;
 };
 
@@ -34,8 +34,8 @@ struct Finding {
         Error     ///< must be mended first
     };
     Severity severity = Severity::Warning;
-    std::string part;          ///< cameras, masks or images
-    std::string text, remedy;  ///< whole sentences; the remedy may be empty
+    std::string part;                ///< cameras, masks or images
+    std::string text, remedy;        ///< whole sentences; the remedy may be empty
     ExitCode code = ExitCode::Done;  ///< of an error
 };
 
@@ -43,14 +43,14 @@ struct CheckResult {
     size_t views = 0;
     // Cameras; of `better`, where there is one.
     Vec3d look_at_world = Vec3d::Zero();
-    double look_at_miss = 0;          ///< median distance of the optical axes from it, share of the median distance
-    Vec3d up_world = Vec3d::Zero();   ///< mean of the images' up directions, unit length
-    double distance_median = 0, distance_spread = 0;  ///< from look_at to the cameras; (largest - smallest) / median
+    double look_at_miss = 0;                              ///< median distance of the optical axes from it, share of the median distance
+    Vec3d up_world = Vec3d::Zero();                       ///< mean of the images' up directions, unit length
+    double distance_median = 0, distance_spread = 0;      ///< from look_at to the cameras; (largest - smallest) / median
     double elevation_min_deg = 0, elevation_max_deg = 0;  ///< about up_world
-    double largest_gap_deg = 0;       ///< between neighbouring azimuths about up_world
-    double fov_deg = 0;               ///< median horizontal field of view
-    std::string up_guessed;           ///< the world axis nearest to up_world; empty: none within 20 degrees
-    std::string up_said, units_said;  ///< by the camera file, or the options
+    double largest_gap_deg = 0;                           ///< between neighbouring azimuths about up_world
+    double fov_deg = 0;                                   ///< median horizontal field of view
+    std::string up_guessed;                               ///< the world axis nearest to up_world; empty: none within 20 degrees
+    std::string up_said, units_said;                      ///< by the camera file, or the options
     // Masks.
     std::vector<ViewCheck> agreements;  ///< worst first; empty where masks were not looked at
     double median_iou = 0;

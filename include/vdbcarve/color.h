@@ -34,8 +34,8 @@ struct ColorInput {
     std::string name;
     Camera camera;
     MaskView mask;
-    PhotoView photo;     ///< not looked at where photographs come in batches
-    bool use = true;     ///< false: left out of colouring, to be compared with later
+    PhotoView photo;  ///< not looked at where photographs come in batches
+    bool use = true;  ///< false: left out of colouring, to be compared with later
 };
 
 /// Photographs of the inputs first <= i < last, undistorted; empty ones for views that cannot be used.
@@ -45,23 +45,23 @@ inline constexpr int kMaxNormalRadius_vox = 5;
 
 struct ColorOptions {
     ColorMode mode = ColorMode::Blend;
-    bool test_occlusion = true;       ///< false: hidden surfaces take the colour of what stands in front, as in the paper
-    bool skip_upright = false;        ///< the paper's listing 4.2, lines 1 and 2: faces that look straight up or down are left to the fill
-    Vec3d up = Vec3d::UnitZ();        ///< for that; world, unit
-    bool exposure = true;             ///< estimate a gain for each photograph
+    bool test_occlusion = true;  ///< false: hidden surfaces take the colour of what stands in front, as in the paper
+    bool skip_upright = false;   ///< the paper's listing 4.2, lines 1 and 2: faces that look straight up or down are left to the fill
+    Vec3d up = Vec3d::UnitZ();   ///< for that; world, unit
+    bool exposure = true;        ///< estimate a gain for each photograph
     ExposureOptions exposure_options;
     std::vector<std::array<double, 3>> gains;  ///< by view; used instead of an estimate when not empty
-    int depth_vox = 3;                ///< layers, from the surface inwards, that get colour (the paper's free parameter)
-    int normal_radius_vox = 0;        ///< 0: normals from the level set; else the paper's Gaussian window of so many voxels (1..kMaxNormalRadius_vox)
-    size_t batch = 0;                 ///< views whose photographs are in memory together; 0: all
-    Backend backend = Backend::Cpu;   ///< not Auto: see choose_backend
+    int depth_vox = 3;                         ///< layers, from the surface inwards, that get colour (the paper's free parameter)
+    int normal_radius_vox = 0;                 ///< 0: normals from the level set; else the paper's Gaussian window of so many voxels (1..kMaxNormalRadius_vox)
+    size_t batch = 0;                          ///< views whose photographs are in memory together; 0: all
+    Backend backend = Backend::Cpu;            ///< not Auto: see choose_backend
     int device = 0;
 };
 
 struct ColorStatistics {
-    size_t surface_voxels = 0;  ///< of the contour
-    size_t colored = 0;         ///< seen by a view
-    size_t synthesised = 0;     ///< filled from neighbours: no view sees them
+    size_t surface_voxels = 0;           ///< of the contour
+    size_t colored = 0;                  ///< seen by a view
+    size_t synthesised = 0;              ///< filled from neighbours: no view sees them
     std::vector<size_t> voxels_of_view;  ///< for which the view was the weightiest
 };
 
@@ -86,7 +86,8 @@ struct ColorResult {
 ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const ColorOptions& options, Progress& progress);
 
 /// The same with options.batch photographs in memory at a time. Same bits.
-ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress);
+ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options,
+                             Progress& progress);
 
 /// Vertex colours from the volume, trilinear (the paper's choice). Vertices without a coloured voxel around take the nearest one's within
 /// four voxels. Returns the number of those that found none and stay black.
@@ -94,7 +95,7 @@ size_t color_vertices(Mesh& mesh, const openvdb::Vec3SGrid& color);
 
 /// Vertex colours straight from the photographs, by the same rules as the volume's; vertices that no view sees take the volume's.
 /// Gains are options.gains, those of ColorResult::exposure, and not estimated; on the CPU. Returns the share of vertices seen.
-double color_vertices_from_photos(Mesh& mesh, const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid& color, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
-                                  const ColorOptions& options, Progress& progress);
+double color_vertices_from_photos(Mesh& mesh, const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid& color, const std::vector<ColorInput>& inputs,
+                                  const PhotoSource& photos, const ColorOptions& options, Progress& progress);
 
 }  // namespace vdbcarve

@@ -66,17 +66,20 @@ class DevicePipeline {
     void set_surface(const openvdb::FloatGrid& surface);
 
     /// Colours the surface, which must be `surface`. Masks and fields on the device are replaced by colouring's own. Errors like color().
-    ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options, Progress& progress);
+    ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options,
+                      Progress& progress);
 
     /// Carves the surface, which must be `surface`, by depths found and fused on the device, whose surface then is the result's. Errors like stereo().
-    StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options, Progress& progress);
+    StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options,
+                        Progress& progress);
 
     /// Filters the surface in its place. The result's grid and counts of pieces are not set: surface() brings it home. Errors like filter().
     FilterResult filter(const FilterOptions& options, Progress& progress);
 
     /// Colours of the surface, a NanoVDB grid of Vec3f (linear light, active where there is one), for render(); until the next ones, or another surface is set.
     void set_colors(const NanoBuffer& colors);
-    /// A picture of the surface, or of the hull where there is none yet: see render(). Its device time is "render", that of what is made ready for it "render: walls".
+    /// A picture of the surface, or of the hull where there is none yet: see render(). Its device time is "render", that of what is made ready for it "render:
+    /// walls".
     Image8 render(const Camera& camera, const RenderOptions& options);
 
     /// Marching cubes of the surface, on the device. False where only extract_mesh() of the grid on the CPU can: no level set with

@@ -32,8 +32,8 @@ struct SampledField {
     std::vector<int16_t> blocks;
     int x0 = 0, y0 = 0, width = 0, height = 0;  ///< window, samples
     int blocks_per_row = 0;
-    float reach = 0;                            ///< samples
-    bool cut[4] = {};                           ///< left, top, right, bottom: the window ends there inside the frame
+    float reach = 0;   ///< samples
+    bool cut[4] = {};  ///< left, top, right, bottom: the window ends there inside the frame
 
     bool empty() const { return samples.empty(); }
     kernel::FieldView view() const;
@@ -48,7 +48,7 @@ struct DistanceField {
     SampledField ignored;     ///< to the ignored region, positive inside it; empty where nothing is ignored
     int scale = 1;
     int mask_width = 0, mask_height = 0;  ///< pixels
-    int object_box[4] = {0, 0, -1, -1};  ///< x_min, y_min, x_max, y_max of the samples that are object
+    int object_box[4] = {0, 0, -1, -1};   ///< x_min, y_min, x_max, y_max of the samples that are object
 
     bool shows_object() const { return object_box[2] >= object_box[0]; }
     size_t bytes() const { return silhouette.bytes() + ignored.bytes(); }

@@ -32,7 +32,7 @@ struct EvaluateOptions {
     double threshold = 0;             ///< for completeness, precision, recall; truth's units; 0: 1 % of the truth's largest side
     size_t samples = 100000;          ///< points on each surface, spread evenly by area
     uint64_t seed = 1;
-    int volume_resolution = 256;      ///< voxels along the longest side of both, for IoU
+    int volume_resolution = 256;  ///< voxels along the longest side of both, for IoU
 };
 
 /// Distances from points of one surface to the nearest point of the other, in the truth's units.
@@ -48,11 +48,11 @@ struct Evaluation {
     double chamfer = 0;           ///< mean of both means
     double accuracy90 = 0;        ///< to_truth.p90
     double f_score = 0;
-    double hausdorff = 0, hausdorff95 = 0;  ///< the larger of both directions
-    double volume = 0, truth_volume = 0;    ///< signed
-    double volume_excess = 0;               ///< volume / truth_volume - 1
-    double iou = 0;                         ///< |A and B| / |A or B| of the solids; nan when either surface is open
-    double truth_lost = 0;                  ///< share of the truth's volume outside the mesh; nan likewise
+    double hausdorff = 0, hausdorff95 = 0;                          ///< the larger of both directions
+    double volume = 0, truth_volume = 0;                            ///< signed
+    double volume_excess = 0;                                       ///< volume / truth_volume - 1
+    double iou = 0;                                                 ///< |A and B| / |A or B| of the solids; nan when either surface is open
+    double truth_lost = 0;                                          ///< share of the truth's volume outside the mesh; nan likewise
     double normal_error_mean_deg = 0, normal_error_median_deg = 0;  ///< at the mesh's points, against the truth's nearest face
     double threshold = 0, truth_size = 0;
     /// CIEDE2000 between both surfaces' vertex colours at the mesh's points within the threshold; nan where either has none.
@@ -87,9 +87,9 @@ struct CameraErrors {
     double rotation_rms_deg = 0, rotation_max_deg = 0;
     double centre_rms = 0, centre_median = 0, centre_max = 0;  ///< share of the median distance to the look-at point
     double focal_ratio = 0;                                    ///< median of focal length / true focal length
-    double reprojection_rms_px = 0;  ///< of the given points, in the true cameras' pixels; after the similarity that fits images best
+    double reprojection_rms_px = 0;                            ///< of the given points, in the true cameras' pixels; after the similarity that fits images best
     std::vector<double> rotation_deg, centre;                  ///< of each view
-    Similarity truth_from_estimate;  ///< the one that fits images best where points are given, else the one above
+    Similarity truth_from_estimate;                            ///< the one that fits images best where points are given, else the one above
 };
 /// `points_truth`: where reprojection is measured (of the object; empty: not). Throws UndeterminedError for fewer than 3 cameras.
 CameraErrors compare_cameras(const std::vector<Camera>& estimate, const std::vector<Camera>& truth, const std::vector<Vec3d>& points_truth);

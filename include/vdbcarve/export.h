@@ -66,7 +66,7 @@ std::optional<double> metres_per(const std::string& unit);
 
 /// What a scene's axis and unit are, and what files are wanted for.
 struct FrameRequest {
-    std::string up;     ///< x, y, z, -x, -y, -z; empty: unknown
+    std::string up;  ///< x, y, z, -x, -y, -z; empty: unknown
     std::string units;
     Dcc dcc = Dcc::None;
     bool stl_mm = false;

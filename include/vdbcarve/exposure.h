@@ -20,10 +20,10 @@ struct Observations {
 };
 
 struct ExposureOptions {
-    bool per_channel = false;    ///< a gain for each of R, G, B (white balance), else one for all
-    double noise = 0.1;          ///< standard deviation of ln(colour) between views of a place: shading, pose, texture
-    double spread = 0.3;         ///< standard deviation expected of ln(gain)
-    int iterations = 12;         ///< of reweighting
+    bool per_channel = false;  ///< a gain for each of R, G, B (white balance), else one for all
+    double noise = 0.1;        ///< standard deviation of ln(colour) between views of a place: shading, pose, texture
+    double spread = 0.3;       ///< standard deviation expected of ln(gain)
+    int iterations = 12;       ///< of reweighting
 };
 
 struct Exposure {

@@ -63,9 +63,9 @@ inline constexpr int kMostRepairSteps = 3;
 struct FilterResult {
     openvdb::FloatGrid::Ptr surface;
     double volume_before = 0, volume_filtered = 0, volume = 0;  ///< world units cubed: before, after the chain, after the repair
-    double offset_vox = 0;  ///< by which the repair moved the surface, outwards
+    double offset_vox = 0;                                      ///< by which the repair moved the surface, outwards
     int repair_steps = 0;
-    size_t components_before = 0, components = 0;  ///< pieces of the inside, see count_pieces()
+    size_t components_before = 0, components = 0;              ///< pieces of the inside, see count_pieces()
     std::vector<std::pair<std::string, double>> milliseconds;  ///< by step; on the GPU device time
     std::string backend_used = "cpu";
 };

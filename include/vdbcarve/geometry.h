@@ -28,9 +28,7 @@ struct Rigid3 {
     Vec3d translation = Vec3d::Zero();
 
     Vec3d operator*(const Vec3d& x) const { return rotation * x + translation; }
-    Rigid3 operator*(const Rigid3& b_from_a) const {
-        return {rotation * b_from_a.rotation, rotation * b_from_a.translation + translation};
-    }
+    Rigid3 operator*(const Rigid3& b_from_a) const { return {rotation * b_from_a.rotation, rotation * b_from_a.translation + translation}; }
     Rigid3 inverse() const { return {rotation.transpose(), -(rotation.transpose() * translation)}; }
     Mat4d matrix() const;
 };

@@ -17,9 +17,7 @@ struct ImageView {
     bool empty() const { return data == nullptr || width == 0 || height == 0; }
     size_t pixels() const { return static_cast<size_t>(width) * static_cast<size_t>(height); }
     const T& at(int x, int y, int c = 0) const {
-        return data[(static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x)) *
-                        static_cast<size_t>(channels) +
-                    static_cast<size_t>(c)];
+        return data[(static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x)) * static_cast<size_t>(channels) + static_cast<size_t>(c)];
     }
 };
 
@@ -31,10 +29,7 @@ struct Image {
 
     Image() = default;
     Image(int w, int h, int c = 1, T fill = T())
-        : data(static_cast<size_t>(w) * static_cast<size_t>(h) * static_cast<size_t>(c), fill),
-          width(w),
-          height(h),
-          channels(c) {}
+        : data(static_cast<size_t>(w) * static_cast<size_t>(h) * static_cast<size_t>(c), fill), width(w), height(h), channels(c) {}
 
     bool empty() const { return data.empty(); }
     size_t pixels() const { return static_cast<size_t>(width) * static_cast<size_t>(height); }

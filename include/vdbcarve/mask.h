@@ -15,8 +15,9 @@
 namespace vdbcarve {
 
 enum class MaskMethod {
-    Auto,        ///< files, else alpha, else images that are silhouettes
-    Alpha, Folder,
+    Auto,  ///< files, else alpha, else images that are silhouettes
+    Alpha,
+    Folder,
     Threshold,   ///< what is brighter (or darker, or more colourful) than the background
     Chroma,      ///< what has not the colour of a cloth behind it
     CleanPlate,  ///< what is not there in a photograph of the background alone
@@ -59,10 +60,10 @@ struct GrabCutOptions {
 
 /// What is done to masks made from photographs (not to those of files or commands).
 struct MaskCleanUp {
-    int open_px = 0;                 ///< opening: removes specks and hairs thinner than twice this
-    int close_px = 0;                ///< closing: bridges gaps narrower than twice this
-    bool largest_component = true;   ///< keep the largest connected piece only
-    double fill_holes = 0.005;       ///< holes up to this share of the object's area are filled (shadows); 1 fills all
+    int open_px = 0;                ///< opening: removes specks and hairs thinner than twice this
+    int close_px = 0;               ///< closing: bridges gaps narrower than twice this
+    bool largest_component = true;  ///< keep the largest connected piece only
+    double fill_holes = 0.005;      ///< holes up to this share of the object's area are filled (shadows); 1 fills all
     bool operator==(const MaskCleanUp&) const = default;
 };
 
@@ -77,23 +78,23 @@ struct MaskOptions {
     ChromaOptions chroma;
     PlateOptions plate;
     GrabCutOptions grabcut;
-    std::string command;                 ///< "tool {in} {out}": run for every photograph, without a shell
-    int command_jobs = 1;                ///< commands at a time
+    std::string command;   ///< "tool {in} {out}": run for every photograph, without a shell
+    int command_jobs = 1;  ///< commands at a time
     MaskCleanUp clean_up;
-    bool repair = false;                 ///< once cameras are known, masks that contradict all others are mended (or what is wrong of them ignored)
-    std::filesystem::path cache;         ///< folder where a command's masks are kept, by content; empty: nowhere
+    bool repair = false;          ///< once cameras are known, masks that contradict all others are mended (or what is wrong of them ignored)
+    std::filesystem::path cache;  ///< folder where a command's masks are kept, by content; empty: nowhere
 };
 
 /// Silhouette of a photograph by a threshold. The edge stays soft: coverage crosses 1/2 where the channel
 /// crosses the level, linearly in between. 8-bit pixels, 1, 3 or 4 channels.
 Mask threshold_mask(ImageView<uint8_t> photo, const ThresholdOptions& options, const MaskCleanUp& cleaning = {});
 
-/// Silhouette before a cloth of one colour. Chroma by brightness decides, so folds and shadows on the cloth are cloth; along the edge coverage is the share that a mixture
-/// of the object's and the cloth's light has. Key and level must be there (make_masks finds them). 8-bit sRGB, 3 or 4 channels.
+/// Silhouette before a cloth of one colour. Chroma by brightness decides, so folds and shadows on the cloth are cloth; along the edge coverage is the share
+/// that a mixture of the object's and the cloth's light has. Key and level must be there (make_masks finds them). 8-bit sRGB, 3 or 4 channels.
 Mask chroma_mask(ImageView<uint8_t> photo, const ChromaOptions& options, const MaskCleanUp& cleaning = {});
 
-/// Silhouette by difference from a photograph of the background alone, both 8-bit sRGB of one size. Lamps that drifted in strength, colour and side are allowed for;
-/// noise is measured in the pair. The object may take half of the picture.
+/// Silhouette by difference from a photograph of the background alone, both 8-bit sRGB of one size. Lamps that drifted in strength, colour and side are allowed
+/// for; noise is measured in the pair. The object may take half of the picture.
 Mask plate_mask(ImageView<uint8_t> photo, ImageView<uint8_t> plate, const PlateOptions& options, const MaskCleanUp& cleaning = {});
 
 /// Silhouette by GrabCut. `seed`: 0 background for certain, 255 object for certain, from 128 on rather object. Same result every time.
@@ -102,7 +103,8 @@ Image8 seed_of_box(int width, int height, const std::optional<std::array<int, 4>
 /// Of a mask that is right but for `uncertain_px` along its edge.
 Image8 seed_of_mask(ImageView<uint8_t> coverage, double uncertain_px);
 
-/// The options with what is found from all photographs together found: the level of a threshold, a cloth's colour and level. make_masks does it where it was not done.
+/// The options with what is found from all photographs together found: the level of a threshold, a cloth's colour and level. make_masks does it where it was
+/// not done.
 MaskOptions settle(const Views& views, const MaskOptions& options, const std::vector<std::filesystem::path>& edited, Progress& progress);
 
 /// A mask that was made before, from the same files with the same settled options.
@@ -118,14 +120,13 @@ struct Masks {
 };
 
 /// Masks of all views: found, checked and undistorted, views in parallel. `edited` holds masks that the
-/// user changed by hand in an earlier result, by view index (empty path: none); they win. `known` holds, by view index (or nothing at all), masks that need not be made.
-/// Throws InputError naming file, view, value and remedy.
-Masks make_masks(const Views& views, const std::filesystem::path& scene, const MaskOptions& options,
-                 const std::vector<std::filesystem::path>& edited, Progress& progress, std::vector<std::optional<KnownMask>> known = {});
+/// user changed by hand in an earlier result, by view index (empty path: none); they win. `known` holds, by view index (or nothing at all), masks that need not
+/// be made. Throws InputError naming file, view, value and remedy.
+Masks make_masks(const Views& views, const std::filesystem::path& scene, const MaskOptions& options, const std::vector<std::filesystem::path>& edited,
+                 Progress& progress, std::vector<std::optional<KnownMask>> known = {});
 
 /// The files that the masks of a view would be made from, for keying caches.
-std::vector<std::filesystem::path> mask_files(const View& view, const std::filesystem::path& scene,
-                                              const MaskOptions& options);
+std::vector<std::filesystem::path> mask_files(const View& view, const std::filesystem::path& scene, const MaskOptions& options);
 
 /// How soft a mask's contour is: the share of its pixels that are neither object nor background; about 1 for soft masks, 0 for black and white.
 double contour_softness(ImageView<uint8_t> coverage);

@@ -15,8 +15,8 @@ namespace vdbcarve {
 
 /// What the ray through each pixel centre hits first.
 struct Raster {
-    ImageF depth;                ///< camera z, world units; infinity where nothing is hit
-    Image<uint32_t> face;        ///< index of the triangle, UINT32_MAX where nothing is hit
+    ImageF depth;          ///< camera z, world units; infinity where nothing is hit
+    Image<uint32_t> face;  ///< index of the triangle, UINT32_MAX where nothing is hit
 };
 
 /// Exact at pixel centres; triangles that touch the camera plane are left out. Single-threaded.
@@ -46,16 +46,16 @@ Camera scaled(const Camera& camera, double factor);
 
 /// How well a mesh's silhouette agrees with a mask. Ignored pixels are left out.
 struct SilhouetteAgreement {
-    double iou = 0;                     ///< |hit and mask| / |hit or mask|; 1 when both are empty
-    double contour_p95_px = 0;          ///< distance between the two contours, 95th percentile
+    double iou = 0;             ///< |hit and mask| / |hit or mask|; 1 when both are empty
+    double contour_p95_px = 0;  ///< distance between the two contours, 95th percentile
     double contour_p99_px = 0;
     size_t missed_px = 0, extra_px = 0;  ///< mask not hit; hit outside the mask
     size_t largest_missed_blob_px = 0;   ///< pixels of the largest connected piece of what is missed
     /// Length, in pixels, of the mask's skeleton where the mask is at most 20 px wide and nothing is hit within 1.5 px: thin
     /// parts that are gone while the area hardly tells.
     size_t thin_length_lost_px = 0;
-    std::array<int, 4> missed_blob{};                ///< x0, y0, x1, y1 of the largest missed piece
-    std::vector<std::array<int, 2>> thin_lost;       ///< the lost pixels of the skeleton
+    std::array<int, 4> missed_blob{};           ///< x0, y0, x1, y1 of the largest missed piece
+    std::vector<std::array<int, 2>> thin_lost;  ///< the lost pixels of the skeleton
 };
 SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask);
 

@@ -34,15 +34,15 @@ struct Plane {
 
 struct RenderOptions {
     RenderStyle style = RenderStyle::Surface;
-    int samples = 2;                   ///< rays along a pixel's side
-    bool color = true;                 ///< the volume's own colours, where it has any
+    int samples = 2;                                ///< rays along a pixel's side
+    bool color = true;                              ///< the volume's own colours, where it has any
     std::array<double, 3> plain{0.55, 0.55, 0.56};  ///< linear light of what has none
-    int ambient_rays = 6;              ///< a ray into how many directions it is asked whether the sky is hidden; 0: no ambient occlusion
-    double ambient_reach = 0.08;       ///< and how far, as a share of the volume's longest side
-    double iso = 0;                    ///< the surface lies where the level set has this value, world units; within the band
-    Plane slice;                       ///< of RenderStyle::Slice
+    int ambient_rays = 6;                           ///< a ray into how many directions it is asked whether the sky is hidden; 0: no ambient occlusion
+    double ambient_reach = 0.08;                    ///< and how far, as a share of the volume's longest side
+    double iso = 0;                                 ///< the surface lies where the level set has this value, world units; within the band
+    Plane slice;                                    ///< of RenderStyle::Slice
     std::optional<std::array<uint8_t, 3>> background{{255, 255, 255}};  ///< sRGB; none: transparent
-    Vec3d up = Vec3d::Zero();          ///< where the sky is, world; zero: the image's up
+    Vec3d up = Vec3d::Zero();                                           ///< where the sky is, world; zero: the image's up
 };
 
 /// A level set made ready to be rendered, on the backend of choice: once for many pictures.

@@ -17,15 +17,15 @@ struct RenderJob {
     bool mesh = false;             ///< of a result: its mesh, not its volume
     RenderOptions options;
     OrbitView orbit;
-    std::string up;                ///< world axis; empty: as the result or the file says, else z
-    std::string view;              ///< an input view by name: the picture that its camera would take, for comparison with its photograph
-    std::filesystem::path cameras; ///< a camera file with `view` in it; empty: the result's
-    std::filesystem::path images;  ///< folder of photographs; empty: where the result says
-    int sheet = 0;                 ///< so many input views, evenly chosen, beside their photographs, on one sheet; 0: one picture
-    int slices = 9;                ///< of RenderStyle::Slice: so many on one sheet; 1: one, through `slice_at`
-    std::string slice_axis = "z";  ///< x, y or z
-    double slice_at = 0.5;         ///< share of the bounds along the axis
-    int frames = 120;              ///< of a film, one turn
+    std::string up;                 ///< world axis; empty: as the result or the file says, else z
+    std::string view;               ///< an input view by name: the picture that its camera would take, for comparison with its photograph
+    std::filesystem::path cameras;  ///< a camera file with `view` in it; empty: the result's
+    std::filesystem::path images;   ///< folder of photographs; empty: where the result says
+    int sheet = 0;                  ///< so many input views, evenly chosen, beside their photographs, on one sheet; 0: one picture
+    int slices = 9;                 ///< of RenderStyle::Slice: so many on one sheet; 1: one, through `slice_at`
+    std::string slice_axis = "z";   ///< x, y or z
+    double slice_at = 0.5;          ///< share of the bounds along the axis
+    int frames = 120;               ///< of a film, one turn
     double rate_hz = 30;
     Backend backend = Backend::Auto;
     int device = 0;
@@ -34,8 +34,8 @@ struct RenderJob {
 struct RenderSummary {
     std::string backend_used;
     size_t pictures = 0;
-    double seconds = 0;             ///< of rendering alone, all pictures
-    double device_milliseconds = 0; ///< of the last picture, on CUDA
+    double seconds = 0;              ///< of rendering alone, all pictures
+    double device_milliseconds = 0;  ///< of the last picture, on CUDA
     int width_px = 0, height_px = 0;
 };
 

@@ -19,8 +19,8 @@ double mu_for(double lambda, double pass_band);
 
 /// Taubin's lambda|mu smoothing with the uniform umbrella operator (Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995) on an
 /// OpenMesh half-edge mesh. Connectivity, colours and quads stay; normals are computed anew where the mesh had some. Vertices of boundaries do not move.
-/// Same bits for any number of threads. About 0.15 us a vertex and iteration and core; 250 bytes a vertex. Throws UsageError for factors that do not smooth and InputError
-/// for a mesh that is no 2-manifold.
+/// Same bits for any number of threads. About 0.15 us a vertex and iteration and core; 250 bytes a vertex. Throws UsageError for factors that do not smooth and
+/// InputError for a mesh that is no 2-manifold.
 void smooth(Mesh& mesh, const SmoothOptions& options, Progress& progress);
 
 }  // namespace vdbcarve

@@ -12,10 +12,10 @@
 namespace vdbcarve {
 
 struct Mesh {
-    std::vector<std::array<float, 3>> vertices;       ///< world units
-    std::vector<std::array<uint32_t, 3>> triangles;   ///< counter-clockwise seen from outside
-    std::vector<std::array<float, 3>> normals{};      ///< unit, outward, one a vertex; or none
-    std::vector<std::array<float, 3>> colors{};       ///< RGB, linear light 0..1, one a vertex; or none
+    std::vector<std::array<float, 3>> vertices;      ///< world units
+    std::vector<std::array<uint32_t, 3>> triangles;  ///< counter-clockwise seen from outside
+    std::vector<std::array<float, 3>> normals{};     ///< unit, outward, one a vertex; or none
+    std::vector<std::array<float, 3>> colors{};      ///< RGB, linear light 0..1, one a vertex; or none
     /// Texture coordinates of each triangle's corners, v upwards; or none. Read from .obj, never written.
     std::vector<std::array<std::array<float, 2>, 3>> texcoords{};
     /// 1 where no silhouette was seen to end and only the cones of others bound the surface (caps.h), one a vertex; or none.
@@ -46,7 +46,8 @@ struct DroppedPieces {
     double volume_share = 0;  ///< of all pieces' volumes, each taken as positive
 };
 
-/// Takes away connected pieces whose share of the volume (hollows count as positive) is less than `least_share`; vertices and faces keep their order. The largest piece always stays.
+/// Takes away connected pieces whose share of the volume (hollows count as positive) is less than `least_share`; vertices and faces keep their order. The
+/// largest piece always stays.
 DroppedPieces drop_small_pieces(Mesh& mesh, double least_share);
 
 /// Unit normals of the vertices, from the faces around by area. A vertex whose faces cancel gets the normal of one of them.
@@ -57,9 +58,9 @@ std::vector<std::array<float, 3>> vertex_normals(const Mesh& mesh);
 Mesh read_mesh(const std::filesystem::path& file);
 
 /// Writes, by extension: .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue] [extrapolated]), .obj (v x y z [r g b], and a
-/// .mtl beside it), .stl (binary), .glb (float positions and normals, COLOR_0 as linear 16-bit RGBA, a matt material; _EXTRAPOLATED). Quads stay whole in .ply and
-/// .obj. Colours are sRGB elsewhere. Coordinates are written as they are: see export.h for axes and units. Appears by rename.
-/// Throws OutputError, and UsageError for another extension.
+/// .mtl beside it), .stl (binary), .glb (float positions and normals, COLOR_0 as linear 16-bit RGBA, a matt material; _EXTRAPOLATED). Quads stay whole in .ply
+/// and .obj. Colours are sRGB elsewhere. Coordinates are written as they are: see export.h for axes and units. Appears by rename. Throws OutputError, and
+/// UsageError for another extension.
 void write_mesh(const std::filesystem::path& file, const Mesh& mesh);
 
 }  // namespace vdbcarve

@@ -19,7 +19,7 @@ struct VideoOptions {
 };
 
 struct VideoFrame {
-    std::string name;      ///< its file in the folder: frame_000123.png, counted from the film's first as 0
+    std::string name;  ///< its file in the folder: frame_000123.png, counted from the film's first as 0
     size_t index = 0;
     double time_s = 0;     ///< when it is shown
     double motion = 0;     ///< share of the film's motion before it, 0..1
@@ -28,8 +28,8 @@ struct VideoFrame {
 
 struct VideoFrames {
     std::vector<VideoFrame> frames;
-    size_t looked_at = 0;          ///< frames decoded
-    double duration_s = 0;         ///< of the part looked at
+    size_t looked_at = 0;   ///< frames decoded
+    double duration_s = 0;  ///< of the part looked at
     int width_px = 0, height_px = 0;
     std::vector<std::string> warnings;
 };

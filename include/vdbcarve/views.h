@@ -16,15 +16,15 @@ namespace vdbcarve {
 
 /// One photograph and its camera.
 struct View {
-    std::string name;                   ///< as the camera file spells it, folders included
-    std::filesystem::path image_path;   ///< the photograph; empty where there is none
-    std::filesystem::path mask_path;    ///< named by the camera file; empty where it names none
-    int orientation = 1;                ///< EXIF's, by which the stored photograph is turned to be the camera's; 1: not at all
-    Camera camera;                      ///< pinhole (or orthographic), after the lens was removed
-    Lens lens;                          ///< what has to be removed from image and mask
-    std::string sitting = "0";          ///< which sitting of the object this view belongs to
-    std::string unused;                 ///< why it is neither carved with nor coloured from; empty: it is
-    std::filesystem::path scene;        ///< the added scene that it is from, where its mask is looked for; empty: from the scene itself
+    std::string name;                  ///< as the camera file spells it, folders included
+    std::filesystem::path image_path;  ///< the photograph; empty where there is none
+    std::filesystem::path mask_path;   ///< named by the camera file; empty where it names none
+    int orientation = 1;               ///< EXIF's, by which the stored photograph is turned to be the camera's; 1: not at all
+    Camera camera;                     ///< pinhole (or orthographic), after the lens was removed
+    Lens lens;                         ///< what has to be removed from image and mask
+    std::string sitting = "0";         ///< which sitting of the object this view belongs to
+    std::string unused;                ///< why it is neither carved with nor coloured from; empty: it is
+    std::filesystem::path scene;       ///< the added scene that it is from, where its mask is looked for; empty: from the scene itself
 };
 
 /// The object may be turned over or moved between two rounds of photographs: each round is a sitting, with
@@ -45,10 +45,11 @@ struct Views {
     std::string units;                  ///< length unit of the world, or empty when unknown
     std::optional<double> floor;        ///< height along `up` of what the object stands on: nothing of it is lower
     std::vector<std::string> left_out;  ///< names of views without an image (allow_missing)
-    std::vector<std::string> without_camera;  ///< pictures beside the photographs that the camera file does not know; looked for where they may still be arriving (is_whole)
+    std::vector<std::string>
+        without_camera;  ///< pictures beside the photographs that the camera file does not know; looked for where they may still be arriving (is_whole)
     std::vector<std::string> unverified;  ///< why its cameras must not be trusted (exit 5 of align); empty: nothing speaks against them
-    bool metric = true;                 ///< false: a projective world, without angles and distances
-    bool posed = true;                  ///< false: there was no camera file; focal lengths may be 0 (unknown), poses mean nothing
+    bool metric = true;                   ///< false: a projective world, without angles and distances
+    bool posed = true;                    ///< false: there was no camera file; focal lengths may be 0 (unknown), poses mean nothing
 
     /// The cameras in the scene's frame, every sitting's transform applied.
     std::vector<Camera> cameras() const;
@@ -58,19 +59,20 @@ struct Views {
 enum class PixelCentre { Default, Corner, Integer };
 
 struct ViewsOptions {
-    std::filesystem::path scene;         ///< folder with images/, masks/, camera files, or photos directly
-    std::filesystem::path images;        ///< overrides where images are looked for
-    std::filesystem::path cameras;       ///< overrides which camera file is read; "none": no file is
-    bool allow_unposed = false;          ///< without a camera file, views have photographs only, for align()
+    std::filesystem::path scene;                      ///< folder with images/, masks/, camera files, or photos directly
+    std::filesystem::path images;                     ///< overrides where images are looked for
+    std::filesystem::path cameras;                    ///< overrides which camera file is read; "none": no file is
+    bool allow_unposed = false;                       ///< without a camera file, views have photographs only, for align()
     PixelCentre pixel_centre = PixelCentre::Default;  ///< overrides the format's rule
-    bool accept_non_metric = false;      ///< carve in a projective world all the same
-    bool allow_missing = false;          ///< leave out views whose image or mask is missing
-    bool cameras_only = false;           ///< images need not be there when the file knows their sizes
-    std::string up, units;               ///< override what the file says
-    /// Further scenes whose views are taken too, each with a camera file of its own in the same world (or, like the scene, with none). A photograph that is there already is not taken twice, so
-    /// the scene itself may be among them.
+    bool accept_non_metric = false;                   ///< carve in a projective world all the same
+    bool allow_missing = false;                       ///< leave out views whose image or mask is missing
+    bool cameras_only = false;                        ///< images need not be there when the file knows their sizes
+    std::string up, units;                            ///< override what the file says
+    /// Further scenes whose views are taken too, each with a camera file of its own in the same world (or, like the scene, with none). A photograph that is
+    /// there already is not taken twice, so the scene itself may be among them.
     std::vector<std::filesystem::path> added;
-    /// Photographs may still be arriving: one for which this says no is not there yet, and nobody is warned of those that are missing. Empty: all that is there is whole.
+    /// Photographs may still be arriving: one for which this says no is not there yet, and nobody is warned of those that are missing. Empty: all that is there
+    /// is whole.
     std::function<bool(const std::filesystem::path& photo)> is_whole;
 };
 

@@ -25,10 +25,10 @@
 namespace vdbcarve {
 namespace {
 
-constexpr int kObject_px = 90;      ///< of the object's longer side in the small pictures that are compared
-constexpr int kSide_px = 160;       ///< of those pictures
-constexpr int kTurns = 360;         ///< simulated views
-constexpr int kModel_vox = 80;      ///< height of the model
+constexpr int kObject_px = 90;                     ///< of the object's longer side in the small pictures that are compared
+constexpr int kSide_px = 160;                      ///< of those pictures
+constexpr int kTurns = 360;                        ///< simulated views
+constexpr int kModel_vox = 80;                     ///< height of the model
 constexpr double kLeastStep = 0.3, kMostStep = 2;  ///< of the mean: what the path may advance from view to view
 
 /// A silhouette around its own middle, one bit a pixel, and where it was.
@@ -137,7 +137,8 @@ Mesh model_of(const Small& front, const Small& side, double side_sign) {
         for (int x : depths)
             for (int y : columns) access.setValueOn(openvdb::Coord(x, y, k - kModel_vox / 2));
     }
-    if (grid->activeVoxelCount() == 0) throw InputError("--method paper: the two views have nothing in common. Remedy: --paper-views A,B, of the front and of a quarter turn on");
+    if (grid->activeVoxelCount() == 0)
+        throw InputError("--method paper: the two views have nothing in common. Remedy: --paper-views A,B, of the front and of a quarter turn on");
     Progress quiet;
     return extract_mesh(*level_set_of_occupancy(*grid, {}, quiet), {.mesher = Mesher::MarchingCubes}, quiet);
 }
@@ -167,10 +168,11 @@ struct Match {
 constexpr double kRollStep_rad = 2 * kRadians;
 constexpr int kRolls = 2, kShift_px = 2;
 
-/// Monotone path of least energy through the map (step 4): from view to view it advances by kLeastStep to kMostStep of the mean; a closed one comes back to its start
-/// after a whole turn. Columns by view, unwrapped.
+/// Monotone path of least energy through the map (step 4): from view to view it advances by kLeastStep to kMostStep of the mean; a closed one comes back to its
+/// start after a whole turn. Columns by view, unwrapped.
 std::vector<int> path_through(const std::vector<std::vector<Match>>& energy, double mean_step, bool closed, double& cost) {
-    const int n = static_cast<int>(energy.size()), least = std::max(1, static_cast<int>(std::floor(kLeastStep * mean_step))), most = std::max(least + 1, static_cast<int>(std::ceil(kMostStep * mean_step)));
+    const int n = static_cast<int>(energy.size()), least = std::max(1, static_cast<int>(std::floor(kLeastStep * mean_step))),
+              most = std::max(least + 1, static_cast<int>(std::ceil(kMostStep * mean_step)));
     const int length = (n - 1) * most + 1;
     const auto at = [&](int view, int column) { return energy[static_cast<size_t>(view)][static_cast<size_t>(column % kTurns)].energy; };
     cost = std::numeric_limits<double>::infinity();
@@ -185,7 +187,8 @@ std::vector<int> path_through(const std::vector<std::vector<Match>>& energy, dou
             for (int k = i * least; k <= std::min(i * most, length - 1); ++k) {
                 int from = -1;
                 for (int s = least; s <= most && s <= k; ++s)
-                    if (before[static_cast<size_t>(k - s)] < now[static_cast<size_t>(k)]) now[static_cast<size_t>(k)] = before[static_cast<size_t>(k - s)], from = s;
+                    if (before[static_cast<size_t>(k - s)] < now[static_cast<size_t>(k)])
+                        now[static_cast<size_t>(k)] = before[static_cast<size_t>(k - s)], from = s;
                 if (from < 0) continue;
                 now[static_cast<size_t>(k)] += at(i, start + k);
                 step[static_cast<size_t>(i)][static_cast<size_t>(k)] = from;
@@ -216,7 +219,8 @@ void register_onto(const Small& a, const Small& b, double& dx, double& dy, doubl
     for (int iteration = 0; iteration < 12; ++iteration) {
         const double c = std::cos(roll), s = std::sin(roll);
         // moved(x) = from(R' (x - middle - shift) + middle)
-        const cv::Mat back = (cv::Mat_<double>(2, 3) << c, s, middle - c * (middle + dx) - s * (middle + dy), -s, c, middle + s * (middle + dx) - c * (middle + dy));
+        const cv::Mat back =
+            (cv::Mat_<double>(2, 3) << c, s, middle - c * (middle + dx) - s * (middle + dy), -s, c, middle + s * (middle + dx) - c * (middle + dy));
         cv::Mat moved, gx, gy;
         cv::warpAffine(from, moved, back, from.size(), cv::INTER_LINEAR | cv::WARP_INVERSE_MAP);
         moved.convertTo(moved, CV_32F);
@@ -258,7 +262,8 @@ Image8 picture_of(const std::vector<std::vector<Match>>& energy, const std::vect
 
 }  // namespace
 
-std::array<size_t, 2> paper_views(const Views& views, const Silhouettes& silhouettes, const std::vector<OrbitView>& nominal, const std::array<std::string, 2>& wanted) {
+std::array<size_t, 2> paper_views(const Views& views, const Silhouettes& silhouettes, const std::vector<OrbitView>& nominal,
+                                  const std::array<std::string, 2>& wanted) {
     std::array<size_t, 2> out{silhouettes.seen().front(), 0};
     for (size_t w = 0; w < 2; ++w) {
         if (wanted[w].empty()) continue;
@@ -277,7 +282,8 @@ std::array<size_t, 2> paper_views(const Views& views, const Silhouettes& silhoue
     return out;
 }
 
-PaperFit fit_like_the_paper(const std::vector<MaskView>& masks, const Silhouettes& silhouettes, const std::vector<OrbitView>& nominal, std::array<size_t, 2> two, Progress& progress) {
+PaperFit fit_like_the_paper(const std::vector<MaskView>& masks, const Silhouettes& silhouettes, const std::vector<OrbitView>& nominal,
+                            std::array<size_t, 2> two, Progress& progress) {
     const std::vector<size_t>& seen = silhouettes.seen();
     const double shrink = kObject_px / silhouettes.size_px();
     // Silhouettes in small pictures, each around its own middle.
@@ -305,12 +311,13 @@ PaperFit fit_like_the_paper(const std::vector<MaskView>& masks, const Silhouette
         eye = FitTwo::at(x.ptr<double>());
     }
     progress.check();
-    progress.detail(text_of("paper: model of two views agrees with them by IoU %.3f; distance %.2f heights, elevation %.1f, yaw %.1f, roll %.1f degrees", out.model_iou, std::exp(eye.ln_distance), eye.elevation / kRadians, eye.yaw / kRadians,
-                            eye.roll / kRadians));
+    progress.detail(text_of("paper: model of two views agrees with them by IoU %.3f; distance %.2f heights, elevation %.1f, yaw %.1f, roll %.1f degrees",
+                            out.model_iou, std::exp(eye.ln_distance), eye.elevation / kRadians, eye.yaw / kRadians, eye.roll / kRadians));
     // Step 3: the simulated sequence, turning as the object did, and its likeness to every view.
     const double sign = nominal.back().azimuth_rad >= nominal.front().azimuth_rad ? 1 : -1;
     std::vector<std::optional<Small>> simulated(kTurns);
-    tbb::parallel_for(size_t{0}, simulated.size(), [&](size_t k) { simulated[k] = eye.look(model, sign * static_cast<double>(k) * 2 * std::numbers::pi / kTurns); });
+    tbb::parallel_for(size_t{0}, simulated.size(),
+                      [&](size_t k) { simulated[k] = eye.look(model, sign * static_cast<double>(k) * 2 * std::numbers::pi / kTurns); });
     std::vector<std::vector<Match>> energy(seen.size(), std::vector<Match>(kTurns));
     tbb::parallel_for(size_t{0}, seen.size(), [&](size_t s) {
         const size_t i = seen[s];
@@ -329,10 +336,14 @@ PaperFit fit_like_the_paper(const std::vector<MaskView>& masks, const Silhouette
     });
     progress.check();
     // Step 4.
-    const double span = std::fabs(nominal[seen.back()].azimuth_rad - nominal[seen.front()].azimuth_rad) / kRadians, mean_step = span / static_cast<double>(seen.size() - 1);
+    const double span = std::fabs(nominal[seen.back()].azimuth_rad - nominal[seen.front()].azimuth_rad) / kRadians,
+                 mean_step = span / static_cast<double>(seen.size() - 1);
     const bool closed = std::fabs(span + mean_step - 360) < 1e-6;
     const std::vector<int> path = path_through(energy, mean_step * kTurns / 360, closed, out.path_energy);
-    if (path.empty()) throw UndeterminedError(text_of("--method paper: no path of steps of %.1f to %.1f degrees leads once around through %zu views. Remedy: --arc, or --method coherence", kLeastStep * mean_step, kMostStep * mean_step, seen.size()));
+    if (path.empty())
+        throw UndeterminedError(
+            text_of("--method paper: no path of steps of %.1f to %.1f degrees leads once around through %zu views. Remedy: --arc, or --method coherence",
+                    kLeastStep * mean_step, kMostStep * mean_step, seen.size()));
     out.energy_map = picture_of(energy, path);
     // Step 5, and cameras: what moved the picture turns the camera.
     std::vector<OrbitView> places = nominal;

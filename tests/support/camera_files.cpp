@@ -33,7 +33,14 @@ std::string transforms_text(const Views& views) {
         // OpenGL: columns are right, up, backward.
         for (int i = 0; i < 3; ++i) m.push_back({r(0, i), -r(1, i), -r(2, i), c[i]});
         m.push_back({0.0, 0.0, 0.0, 1.0});
-        j["frames"].push_back({{"file_path", "images/" + v.name}, {"transform_matrix", m}, {"fl_x", k.fx}, {"fl_y", k.fy}, {"cx", k.cx}, {"cy", k.cy}, {"w", k.width_px}, {"h", k.height_px}});
+        j["frames"].push_back({{"file_path", "images/" + v.name},
+                               {"transform_matrix", m},
+                               {"fl_x", k.fx},
+                               {"fl_y", k.fy},
+                               {"cx", k.cx},
+                               {"cy", k.cy},
+                               {"w", k.width_px},
+                               {"h", k.height_px}});
     }
     return j.dump();
 }
@@ -54,12 +61,15 @@ std::string projection_text(const View& view, double factor) {
 std::string opencv_calibration_text(const Views& views, bool named) {
     const Intrinsics& k = views.views[0].camera.intrinsics;
     std::ostringstream out;
-    out << std::setprecision(17) << "%YAML:1.0\n---\nimage_width: " << k.width_px << "\nimage_height: " << k.height_px << "\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ " << k.fx << ", " << k.skew << ", "
-        << k.cx - 0.5 << ", 0., " << k.fy << ", " << k.cy - 0.5 << ", 0., 0., 1. ]\ndistortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 0., 0., 0., 0., 0. ]\nviews:\n";
+    out << std::setprecision(17) << "%YAML:1.0\n---\nimage_width: " << k.width_px << "\nimage_height: " << k.height_px
+        << "\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ " << k.fx << ", " << k.skew << ", " << k.cx - 0.5 << ", 0., " << k.fy
+        << ", " << k.cy - 0.5
+        << ", 0., 0., 1. ]\ndistortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 0., 0., 0., 0., 0. ]\nviews:\n";
     for (const View& v : views.views) {
         const Eigen::AngleAxisd turn(v.camera.camera_from_world.rotation);
         const Vec3d r = turn.angle() * turn.axis(), t = v.camera.camera_from_world.translation;
-        out << "   - { " << (named ? "name: \"" + v.name + "\", " : "") << "rvec: [ " << r[0] << ", " << r[1] << ", " << r[2] << " ], tvec: [ " << t[0] << ", " << t[1] << ", " << t[2] << " ] }\n";
+        out << "   - { " << (named ? "name: \"" + v.name + "\", " : "") << "rvec: [ " << r[0] << ", " << r[1] << ", " << r[2] << " ], tvec: [ " << t[0] << ", "
+            << t[1] << ", " << t[2] << " ] }\n";
     }
     return out.str();
 }
@@ -69,7 +79,8 @@ std::string opencv_projections_xml(const Views& views) {
     out << std::setprecision(17) << "<?xml version=\"1.0\"?>\n<opencv_storage>\n";
     for (size_t n = 0; n < views.views.size(); ++n) {
         const size_t i = views.views.size() - 1 - n;
-        out << "<P_" << 3 * i << " type_id=\"opencv-matrix\"><rows>3</rows><cols>4</cols><dt>d</dt><data>" << projection_text(views.views[i], -0.3) << "</data></P_" << 3 * i << ">\n";
+        out << "<P_" << 3 * i << " type_id=\"opencv-matrix\"><rows>3</rows><cols>4</cols><dt>d</dt><data>" << projection_text(views.views[i], -0.3)
+            << "</data></P_" << 3 * i << ">\n";
     }
     return out.str() + "</opencv_storage>\n";
 }
@@ -79,22 +90,28 @@ std::string metashape_text(const Views& views, const std::string& distortion) {
     const Vec3d moved(10, -20, 5);
     const double scale = 2.5;
     std::ostringstream out;
-    out << std::setprecision(17) << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"2.0.0\"><chunk label=\"Chunk 1\" enabled=\"true\">\n<sensors>\n";
+    out << std::setprecision(17)
+        << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"2.0.0\"><chunk label=\"Chunk 1\" enabled=\"true\">\n<sensors>\n";
     for (size_t i = 0; i < views.views.size(); ++i) {
         const Intrinsics& k = views.views[i].camera.intrinsics;
-        out << "<sensor id=\"" << i << "\" label=\"a lens\" type=\"frame\"><resolution width=\"" << k.width_px << "\" height=\"" << k.height_px << "\"/><calibration type=\"frame\" class=\"initial\"><resolution width=\"" << k.width_px
-            << "\" height=\"" << k.height_px << "\"/><f>1</f></calibration><calibration type=\"frame\" class=\"adjusted\"><resolution width=\"" << k.width_px << "\" height=\"" << k.height_px << "\"/><f>" << k.fy << "</f><cx>"
-            << k.cx - 0.5 * k.width_px << "</cx><cy>" << k.cy - 0.5 * k.height_px << "</cy><b1>" << k.fx - k.fy << "</b1><b2>" << k.skew << "</b2>" << distortion << "</calibration></sensor>\n";
+        out << "<sensor id=\"" << i << "\" label=\"a lens\" type=\"frame\"><resolution width=\"" << k.width_px << "\" height=\"" << k.height_px
+            << "\"/><calibration type=\"frame\" class=\"initial\"><resolution width=\"" << k.width_px << "\" height=\"" << k.height_px
+            << "\"/><f>1</f></calibration><calibration type=\"frame\" class=\"adjusted\"><resolution width=\"" << k.width_px << "\" height=\"" << k.height_px
+            << "\"/><f>" << k.fy << "</f><cx>" << k.cx - 0.5 * k.width_px << "</cx><cy>" << k.cy - 0.5 * k.height_px << "</cy><b1>" << k.fx - k.fy
+            << "</b1><b2>" << k.skew << "</b2>" << distortion << "</calibration></sensor>\n";
     }
     out << "</sensors>\n<components><component id=\"3\" label=\"Component 1\"><transform><rotation locked=\"true\">";
     for (int a = 0; a < 9; ++a) out << turn(a / 3, a % 3) << " ";
-    out << "</rotation><translation locked=\"true\">" << moved[0] << " " << moved[1] << " " << moved[2] << "</translation><scale locked=\"true\">" << scale << "</scale></transform></component></components>\n<cameras>\n<group id=\"0\">\n";
+    out << "</rotation><translation locked=\"true\">" << moved[0] << " " << moved[1] << " " << moved[2] << "</translation><scale locked=\"true\">" << scale
+        << "</scale></transform></component></components>\n<cameras>\n<group id=\"0\">\n";
     for (size_t i = 0; i < views.views.size(); ++i) {
         const Rigid3& pose = views.views[i].camera.camera_from_world;
         const Mat3d chunk_from_camera = turn.transpose() * pose.rotation.transpose();
         const Vec3d centre = turn.transpose() * (-(pose.rotation.transpose() * pose.translation) - moved) / scale;
-        out << "<camera id=\"" << i << "\" sensor_id=\"" << i << "\" component_id=\"3\" label=\"" << std::filesystem::path(views.views[i].name).stem().string() << "\"><transform>";
-        for (int r = 0; r < 3; ++r) out << chunk_from_camera(r, 0) << " " << chunk_from_camera(r, 1) << " " << chunk_from_camera(r, 2) << " " << centre[r] << " ";
+        out << "<camera id=\"" << i << "\" sensor_id=\"" << i << "\" component_id=\"3\" label=\"" << std::filesystem::path(views.views[i].name).stem().string()
+            << "\"><transform>";
+        for (int r = 0; r < 3; ++r)
+            out << chunk_from_camera(r, 0) << " " << chunk_from_camera(r, 1) << " " << chunk_from_camera(r, 2) << " " << centre[r] << " ";
         out << "0 0 0 1</transform></camera>\n";
     }
     return out.str() + "</group>\n<camera id=\"99\" sensor_id=\"0\" label=\"lost\"></camera></cameras></chunk></document>\n";
@@ -108,7 +125,11 @@ std::string bundler_text(const Views& views) {
         const Camera& c = views.views[i].camera;
         const Mat3d& r = c.camera_from_world.rotation;
         const Vec3d& t = c.camera_from_world.translation;
-        out << c.intrinsics.fx << " 0 0\n" << r(0, 0) << " " << r(0, 1) << " " << r(0, 2) << "\n" << -r(1, 0) << " " << -r(1, 1) << " " << -r(1, 2) << "\n" << -r(2, 0) << " " << -r(2, 1) << " " << -r(2, 2) << "\n" << t[0] << " " << -t[1] << " " << -t[2] << "\n";
+        out << c.intrinsics.fx << " 0 0\n"
+            << r(0, 0) << " " << r(0, 1) << " " << r(0, 2) << "\n"
+            << -r(1, 0) << " " << -r(1, 1) << " " << -r(1, 2) << "\n"
+            << -r(2, 0) << " " << -r(2, 1) << " " << -r(2, 2) << "\n"
+            << t[0] << " " << -t[1] << " " << -t[2] << "\n";
     }
     return out.str() + "1 2 3\n255 0 0\n2 0 5 1.5 -2.5 1 6 0.5 0.25\n";
 }
@@ -119,7 +140,8 @@ std::string nvm_text(const Views& views) {
     for (const View& v : views.views) {
         const Eigen::Quaterniond q(v.camera.camera_from_world.rotation);
         const Vec3d c = v.camera.centre_world();
-        out << "images/" << v.name << "\t" << v.camera.intrinsics.fx << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << c[0] << " " << c[1] << " " << c[2] << " 0 0\n";
+        out << "images/" << v.name << "\t" << v.camera.intrinsics.fx << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << c[0] << " "
+            << c[1] << " " << c[2] << " 0 0\n";
     }
     return out.str() + "\n0\n";
 }
@@ -130,19 +152,22 @@ std::string openmvg_text(const Views& views) {
     const size_t n = views.views.size();
     for (size_t i = 0; i <= n; ++i) {
         const std::string name = i < n ? views.views[i].name : "lost.png";
-        v << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"polymorphic_id\":1073741824,\"ptr_wrapper\":{\"id\":" << 2147483649 + i << ",\"data\":{\"local_path\":\"/\",\"filename\":\"" << name << "\",\"width\":40,\"height\":30,\"id_view\":" << i
-          << ",\"id_intrinsic\":" << i << ",\"id_pose\":" << i << "}}}}";
+        v << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"polymorphic_id\":1073741824,\"ptr_wrapper\":{\"id\":" << 2147483649 + i
+          << ",\"data\":{\"local_path\":\"/\",\"filename\":\"" << name << "\",\"width\":40,\"height\":30,\"id_view\":" << i << ",\"id_intrinsic\":" << i
+          << ",\"id_pose\":" << i << "}}}}";
         if (i == n) break;
         const Camera& c = views.views[i].camera;
-        k << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"polymorphic_name\":\"pinhole\",\"ptr_wrapper\":{\"data\":{\"width\":" << c.intrinsics.width_px << ",\"height\":" << c.intrinsics.height_px << ",\"focal_length\":" << c.intrinsics.fx
-          << ",\"principal_point\":[" << c.intrinsics.cx - 0.5 << "," << c.intrinsics.cy - 0.5 << "]}}}}";
+        k << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"polymorphic_name\":\"pinhole\",\"ptr_wrapper\":{\"data\":{\"width\":" << c.intrinsics.width_px
+          << ",\"height\":" << c.intrinsics.height_px << ",\"focal_length\":" << c.intrinsics.fx << ",\"principal_point\":[" << c.intrinsics.cx - 0.5 << ","
+          << c.intrinsics.cy - 0.5 << "]}}}}";
         const Mat3d& r = c.camera_from_world.rotation;
         const Vec3d centre = c.centre_world();
         x << (i ? "," : "") << "{\"key\":" << i << ",\"value\":{\"rotation\":[";
         for (int a = 0; a < 3; ++a) x << (a ? "," : "") << "[" << r(a, 0) << "," << r(a, 1) << "," << r(a, 2) << "]";
         x << "],\"center\":[" << centre[0] << "," << centre[1] << "," << centre[2] << "]}}";
     }
-    return "{\"sfm_data_version\":\"0.3\",\"root_path\":\"/elsewhere\",\"views\":[" + v.str() + "],\"intrinsics\":[" + k.str() + "],\"extrinsics\":[" + x.str() + "],\"structure\":[],\"control_points\":[]}";
+    return "{\"sfm_data_version\":\"0.3\",\"root_path\":\"/elsewhere\",\"views\":[" + v.str() + "],\"intrinsics\":[" + k.str() + "],\"extrinsics\":[" +
+           x.str() + "],\"structure\":[],\"control_points\":[]}";
 }
 
 std::string meshroom_text(const Views& views, bool millimetres) {
@@ -157,17 +182,22 @@ std::string meshroom_text(const Views& views, bool millimetres) {
     for (size_t i = 0; i < n; ++i) {
         const Camera& c = views.views[i].camera;
         const Intrinsics& in = c.intrinsics;
-        v << (i ? "," : "") << "{\"viewId\":\"" << 100 + i << "\",\"poseId\":\"" << 100 + i << "\",\"intrinsicId\":\"" << 7 + i << "\",\"path\":\"/home/me/" << views.views[i].name << "\",\"width\":\"" << in.width_px << "\",\"height\":\"" << in.height_px << "\"}";
-        k << (i ? "," : "") << "{\"intrinsicId\":\"" << 7 + i << "\",\"width\":\"" << in.width_px << "\",\"height\":\"" << in.height_px << "\",\"type\":\"" << (millimetres ? "pinhole" : "radial3") << "\",";
-        if (millimetres) k << "\"sensorWidth\":\"36\",\"focalLength\":" << quoted(in.fx * 36 / in.width_px) << ",\"pixelRatio\":\"1\",\"distortionType\":\"none\",";
+        v << (i ? "," : "") << "{\"viewId\":\"" << 100 + i << "\",\"poseId\":\"" << 100 + i << "\",\"intrinsicId\":\"" << 7 + i << "\",\"path\":\"/home/me/"
+          << views.views[i].name << "\",\"width\":\"" << in.width_px << "\",\"height\":\"" << in.height_px << "\"}";
+        k << (i ? "," : "") << "{\"intrinsicId\":\"" << 7 + i << "\",\"width\":\"" << in.width_px << "\",\"height\":\"" << in.height_px << "\",\"type\":\""
+          << (millimetres ? "pinhole" : "radial3") << "\",";
+        if (millimetres)
+            k << "\"sensorWidth\":\"36\",\"focalLength\":" << quoted(in.fx * 36 / in.width_px) << ",\"pixelRatio\":\"1\",\"distortionType\":\"none\",";
         else k << "\"pxFocalLength\":" << quoted(in.fx) << ",\"distortionParams\":[\"0\",\"0\",\"0\"],";
-        k << "\"principalPoint\":[" << quoted(in.cx - 0.5 - (millimetres ? 0.5 * in.width_px : 0)) << "," << quoted(in.cy - 0.5 - (millimetres ? 0.5 * in.height_px : 0)) << "]}";
+        k << "\"principalPoint\":[" << quoted(in.cx - 0.5 - (millimetres ? 0.5 * in.width_px : 0)) << ","
+          << quoted(in.cy - 0.5 - (millimetres ? 0.5 * in.height_px : 0)) << "]}";
         x << (i ? "," : "") << "{\"poseId\":\"" << 100 + i << "\",\"pose\":{\"transform\":{\"rotation\":[";
         for (int a = 0; a < 9; ++a) x << (a ? "," : "") << quoted(c.camera_from_world.rotation(a % 3, a / 3));
         const Vec3d centre = c.centre_world();
         x << "],\"center\":[" << quoted(centre[0]) << "," << quoted(centre[1]) << "," << quoted(centre[2]) << "]},\"locked\":\"0\"}}";
     }
-    return std::string("{\"version\":[") + (millimetres ? "\"1\",\"2\",\"6\"" : "\"1\",\"0\",\"0\"") + "],\"views\":[" + v.str() + "],\"intrinsics\":[" + k.str() + "],\"poses\":[" + x.str() + "]}";
+    return std::string("{\"version\":[") + (millimetres ? "\"1\",\"2\",\"6\"" : "\"1\",\"0\",\"0\"") + "],\"views\":[" + v.str() + "],\"intrinsics\":[" +
+           k.str() + "],\"poses\":[" + x.str() + "]}";
 }
 
 std::string realitycapture_text(const Views& views) {
@@ -181,8 +211,9 @@ std::string realitycapture_text(const Views& views) {
         const double degrees = 180 / std::numbers::pi;
         const double pitch = std::asin(m(2, 1)), roll = std::atan2(-m(2, 0), m(2, 2)), yaw = std::atan2(-m(0, 1), m(1, 1));
         const double per_mm = std::max(c.intrinsics.width_px, c.intrinsics.height_px) / 36.0;
-        out << v.name << "," << centre[0] << "," << centre[1] << "," << centre[2] << "," << -yaw * degrees << "," << pitch * degrees << "," << roll * degrees << "," << c.intrinsics.fx / per_mm << ","
-            << (c.intrinsics.cx - 0.5 * c.intrinsics.width_px) / per_mm << "," << (c.intrinsics.cy - 0.5 * c.intrinsics.height_px) / per_mm << ",0,0,0,0,0,0\n";
+        out << v.name << "," << centre[0] << "," << centre[1] << "," << centre[2] << "," << -yaw * degrees << "," << pitch * degrees << "," << roll * degrees
+            << "," << c.intrinsics.fx / per_mm << "," << (c.intrinsics.cx - 0.5 * c.intrinsics.width_px) / per_mm << ","
+            << (c.intrinsics.cy - 0.5 * c.intrinsics.height_px) / per_mm << ",0,0,0,0,0,0\n";
     }
     return out.str();
 }
@@ -232,7 +263,8 @@ void write_colmap_text(const std::filesystem::path& folder, const Views& views) 
         const Eigen::Quaterniond q(c.camera_from_world.rotation);
         const Vec3d& t = c.camera_from_world.translation;
         cameras << i + 5 << " PINHOLE " << k.width_px << " " << k.height_px << " " << k.fx << " " << k.fy << " " << k.cx << " " << k.cy << "\n";
-        images << i + 1 << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << t[0] << " " << t[1] << " " << t[2] << " " << i + 5 << " " << views.views[i].name << "\n"
+        images << i + 1 << " " << q.w() << " " << q.x() << " " << q.y() << " " << q.z() << " " << t[0] << " " << t[1] << " " << t[2] << " " << i + 5 << " "
+               << views.views[i].name << "\n"
                << (i % 2 ? "" : "1.5 2.5 -1 3.5 4.5 17") << "\n";
     }
 }
@@ -252,7 +284,9 @@ void write_colmap_binary(const std::filesystem::path& folder, const Views& views
         put(cameras, static_cast<uint64_t>(k.height_px));
         for (double p : {k.fx, k.fy, k.cx, k.cy}) put(cameras, p);
         put(images, static_cast<uint32_t>(i + 1));
-        for (double x : {q.w(), q.x(), q.y(), q.z(), c.camera_from_world.translation[0], c.camera_from_world.translation[1], c.camera_from_world.translation[2]}) put(images, x);
+        for (double x :
+             {q.w(), q.x(), q.y(), q.z(), c.camera_from_world.translation[0], c.camera_from_world.translation[1], c.camera_from_world.translation[2]})
+            put(images, x);
         put(images, static_cast<uint32_t>(i + 5));
         images << views.views[i].name << '\0';
         const uint64_t points = i % 3;

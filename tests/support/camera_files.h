@@ -24,7 +24,8 @@ std::string bundler_text(const Views& views);
 std::string nvm_text(const Views& views);
 /// OpenMVG's sfm_data.json; the last view has no pose ("lost.png").
 std::string openmvg_text(const Views& views);
-/// Meshroom's .sfm of file version 1.0.0 (lengths in pixels) or 1.2.6 (millimetres on a sensor 36 mm wide, the principal point from the middle on), numbers as strings.
+/// Meshroom's .sfm of file version 1.0.0 (lengths in pixels) or 1.2.6 (millimetres on a sensor 36 mm wide, the principal point from the middle on), numbers as
+/// strings.
 std::string meshroom_text(const Views& views, bool millimetres);
 /// RealityCapture's, for cameras with square pixels.
 std::string realitycapture_text(const Views& views);

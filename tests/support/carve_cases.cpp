@@ -53,25 +53,32 @@ const std::vector<CarveCase>& carve_cases() {
         {"one_miss_allowed", [] { return shoot(small_spec("ellipsoids", 12)); }, [](CarveOptions& o) { o.max_misses = 1; }},
         {"three_misses_allowed", [] { return shoot(small_spec("cup", 9)); }, [](CarveOptions& o) { o.max_misses = 3; }},
         {"truncated_views", truncated, [](CarveOptions&) {}},
-        {"truncated_views_one_miss", truncated, [](CarveOptions& o) { o.max_misses = 1; o.min_seen = 0.8; }},
+        {"truncated_views_one_miss", truncated,
+         [](CarveOptions& o) {
+             o.max_misses = 1;
+             o.min_seen = 0.8;
+         }},
         {"outside_is_background", truncated, [](CarveOptions& o) { o.outside = Outside::Background; }},
         {"every_view_must_see", truncated, [](CarveOptions& o) { o.min_seen = 1.0; }},
         {"ignored_regions", ignoring, [](CarveOptions& o) { o.min_seen = 0.7; }},
         // The bounds reach past the cameras: nodes at the camera planes, behind them and around the centres.
-        {"camera_inside_the_bounds", [] { return shoot(small_spec("ellipsoids", 6)); }, [](CarveOptions& o) {
+        {"camera_inside_the_bounds", [] { return shoot(small_spec("ellipsoids", 6)); },
+         [](CarveOptions& o) {
              const Vec3d grow(3.2, 3.2, 0.3);
              o.bounds_world = Box3d(o.bounds_world.min() - grow, o.bounds_world.max() + grow);
              o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / 72;
              o.min_seen = 0.3;
          }},
-        {"camera_inside_the_bounds_background", [] { return shoot(small_spec("ellipsoids", 6)); }, [](CarveOptions& o) {
+        {"camera_inside_the_bounds_background", [] { return shoot(small_spec("ellipsoids", 6)); },
+         [](CarveOptions& o) {
              const Vec3d grow(3.2, 3.2, 0.3);
              o.bounds_world = Box3d(o.bounds_world.min() - grow, o.bounds_world.max() + grow);
              o.lattice.voxel_size = o.bounds_world.sizes().maxCoeff() / 72;
              o.outside = Outside::Background;
              o.min_seen = 0;
          }},
-        {"bounds_cut_the_object", [] { return shoot(small_spec("torus", 8)); }, [](CarveOptions& o) {
+        {"bounds_cut_the_object", [] { return shoot(small_spec("torus", 8)); },
+         [](CarveOptions& o) {
              Vec3d hi = o.bounds_world.max();
              hi.x() -= 0.45 * o.bounds_world.sizes().x();
              o.bounds_world = Box3d(o.bounds_world.min(), hi);

@@ -18,7 +18,8 @@ ColorVerdict judge(const ColorScene& s, const ColorResult& result) {
     const double h = s.voxel();
     for (auto it = result.views->cbeginValueOn(); it; ++it) {
         const openvdb::Coord c = it.getCoord();
-        openvdb::Vec3d n(phi.getValue(c.offsetBy(1, 0, 0)) - phi.getValue(c.offsetBy(-1, 0, 0)), phi.getValue(c.offsetBy(0, 1, 0)) - phi.getValue(c.offsetBy(0, -1, 0)),
+        openvdb::Vec3d n(phi.getValue(c.offsetBy(1, 0, 0)) - phi.getValue(c.offsetBy(-1, 0, 0)),
+                         phi.getValue(c.offsetBy(0, 1, 0)) - phi.getValue(c.offsetBy(0, -1, 0)),
                          phi.getValue(c.offsetBy(0, 0, 1)) - phi.getValue(c.offsetBy(0, 0, -1)));
         n.normalize();
         const openvdb::Vec3d p = s.surface->transform().indexToWorld(c.asVec3d()) - n * static_cast<double>(phi.getValue(c));
@@ -40,7 +41,9 @@ ColorVerdict judge(const ColorScene& s, const ColorResult& result) {
         for (const ColorInput& input : s.inputs) {
             const Camera& camera = input.camera;
             const auto pixel = camera.project(at);
-            if (!input.use || !pixel || pixel->x() < 1 || pixel->y() < 1 || pixel->x() > camera.intrinsics.width_px - 1 || pixel->y() > camera.intrinsics.height_px - 1) continue;
+            if (!input.use || !pixel || pixel->x() < 1 || pixel->y() < 1 || pixel->x() > camera.intrinsics.width_px - 1 ||
+                pixel->y() > camera.intrinsics.height_px - 1)
+                continue;
             const Vec3d way = camera.intrinsics.orthographic ? Vec3d(-camera.forward_world()) : Vec3d(camera.centre_world() - at);
             if (way.normalized().dot(normal) < 0.2 || truth.hit({at, way.normalized()})) continue;
             visible[n] |= 1;
@@ -72,8 +75,9 @@ ColorVerdict judge(const ColorScene& s, const ColorResult& result) {
 
 std::string line_of(const std::string& name, const ColorVerdict& v, const ColorResult& r) {
     char text[240];
-    std::snprintf(text, sizeof text, "| %s | %.2f %% | %.2f %% of %zu | %.2f | %.2f | %.3f %% | %.4f -> %.4f | %.1f %% |", name.c_str(), 100 * v.inside_share(), 100 * v.share(), v.visible, v.median, v.p95, 100 * v.wrong, r.exposure.disagreement_before,
-                  r.exposure.disagreement, 100.0 * static_cast<double>(r.statistics.synthesised) / static_cast<double>(r.statistics.surface_voxels));
+    std::snprintf(text, sizeof text, "| %s | %.2f %% | %.2f %% of %zu | %.2f | %.2f | %.3f %% | %.4f -> %.4f | %.1f %% |", name.c_str(), 100 * v.inside_share(),
+                  100 * v.share(), v.visible, v.median, v.p95, 100 * v.wrong, r.exposure.disagreement_before, r.exposure.disagreement,
+                  100.0 * static_cast<double>(r.statistics.synthesised) / static_cast<double>(r.statistics.surface_voxels));
     return text;
 }
 

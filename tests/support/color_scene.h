@@ -23,7 +23,8 @@ struct ColorScene {
 inline void lend_photos(ColorScene& s) {
     s.inputs.clear();
     const auto cameras = s.scene.views.cameras();
-    for (size_t i = 0; i < cameras.size(); ++i) s.inputs.push_back({s.scene.views.views[i].name, cameras[i], view_of(s.scene.masks[i]), view_of(s.photos[i]), true});
+    for (size_t i = 0; i < cameras.size(); ++i)
+        s.inputs.push_back({s.scene.views.views[i].name, cameras[i], view_of(s.scene.masks[i]), view_of(s.photos[i]), true});
 }
 
 inline ColorScene color_scene(const SyntheticSpec& spec, int resolution) {
@@ -47,10 +48,10 @@ inline ColorScene color_scene(const SyntheticSpec& spec, int resolution) {
 
 /// How right colours are where the surface is within a voxel of the truth, and sees a camera.
 struct ColorVerdict {
-    size_t visible = 0, colored = 0;  ///< contour voxels that a camera truly sees (cosine 0.2 or more), and those of them coloured from a photograph
+    size_t visible = 0, colored = 0;        ///< contour voxels that a camera truly sees (cosine 0.2 or more), and those of them coloured from a photograph
     size_t inside = 0, inside_colored = 0;  ///< the same of those that a camera sees at least 3 px inside its true mask
-    double median = 0, p95 = 0;       ///< CIEDE2000 of those
-    double wrong = 0;                 ///< share of those farther off than 20
+    double median = 0, p95 = 0;             ///< CIEDE2000 of those
+    double wrong = 0;                       ///< share of those farther off than 20
     double inside_share() const { return inside ? static_cast<double>(inside_colored) / static_cast<double>(inside) : 0; }
     double share() const { return visible ? static_cast<double>(colored) / static_cast<double>(visible) : 0; }
 };

@@ -40,7 +40,8 @@ DenseVolume dense_carve(const std::vector<CarveInput>& inputs, const CarveOption
                         e[n] = kernel::unseen_value(views[n], p, near_depth, band);
                     }
                 }
-                float& result = out.value[(static_cast<size_t>(a) * static_cast<size_t>(nj) + static_cast<size_t>(b)) * static_cast<size_t>(nk) + static_cast<size_t>(c)];
+                float& result =
+                    out.value[(static_cast<size_t>(a) * static_cast<size_t>(nj) + static_cast<size_t>(b)) * static_cast<size_t>(nk) + static_cast<size_t>(c)];
                 if (o.occupancy) {
                     const bool in_box = i >= inner.min[0] && i < inner.max[0] && j >= inner.min[1] && j < inner.max[1] && k >= inner.min[2] && k < inner.max[2];
                     result = in_box && background <= static_cast<size_t>(o.max_misses) && seen >= need;

@@ -27,7 +27,8 @@ MatPhotos photograph(const MatShoot& s) {
         c.intrinsics.width_px = s.width_px, c.intrinsics.height_px = s.height_px;
         c.intrinsics.cx = 0.5 * s.width_px + 4.2, c.intrinsics.cy = 0.5 * s.height_px - 3.1;
         if (s.k1 != 0) v.lens = {Lens::Model::SimpleRadial, {s.k1}};
-        const double azimuth = 2 * 3.14159265358979 * static_cast<double>(i) / s.views + 0.1, elevation = 0.45 + 0.35 * static_cast<double>(i % 3), distance = 0.5 + 0.03 * static_cast<double>(i % 2);
+        const double azimuth = 2 * 3.14159265358979 * static_cast<double>(i) / s.views + 0.1, elevation = 0.45 + 0.35 * static_cast<double>(i % 3),
+                     distance = 0.5 + 0.03 * static_cast<double>(i % 2);
         const Vec3d centre = distance * Vec3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
         const Vec3d z = (Vec3d(0, 0, 0.02) - centre).normalized(), x = z.cross(Vec3d::UnitZ()).normalized(), y = z.cross(x);
         c.camera_from_world.rotation << x.transpose(), y.transpose(), z.transpose();

@@ -13,7 +13,9 @@ namespace vdbcarve::test {
 /// in particular.
 inline openvdb::FloatGrid::Ptr noise_grid(int side, bool smooth, bool tiny, uint32_t seed) {
     std::mt19937 random(seed);
-    const auto at = [&](int i, int j, int k) { return (static_cast<size_t>(i) * static_cast<size_t>(side) + static_cast<size_t>(j)) * static_cast<size_t>(side) + static_cast<size_t>(k); };
+    const auto at = [&](int i, int j, int k) {
+        return (static_cast<size_t>(i) * static_cast<size_t>(side) + static_cast<size_t>(j)) * static_cast<size_t>(side) + static_cast<size_t>(k);
+    };
     std::vector<float> values(at(side, 0, 0));
     for (float& v : values) v = static_cast<float>(random() % 200001) / 100000.f - 1.f;
     if (smooth) {

@@ -34,8 +34,7 @@ inline Shoot shoot(const SyntheticSpec& given, const std::function<void(Syntheti
     for (const Mask& m : out.scene.masks) masks.push_back(view_of(m));
     out.fields = distance_fields(masks, {}, quiet);
     const auto cameras = out.scene.views.cameras();
-    for (size_t i = 0; i < cameras.size(); ++i)
-        out.inputs.push_back({out.scene.views.views[i].name, cameras[i], &out.fields[i]});
+    for (size_t i = 0; i < cameras.size(); ++i) out.inputs.push_back({out.scene.views.views[i].name, cameras[i], &out.fields[i]});
     return out;
 }
 
@@ -62,7 +61,8 @@ class TemporaryFolder {
   public:
     TemporaryFolder() {
         const auto* info = testing::UnitTest::GetInstance()->current_test_info();
-        path_ = std::filesystem::temp_directory_path() / ("vdbcarve-" + std::string(info->test_suite_name()) + "-" + info->name() + "-" + std::to_string(getpid()));
+        path_ =
+            std::filesystem::temp_directory_path() / ("vdbcarve-" + std::string(info->test_suite_name()) + "-" + info->name() + "-" + std::to_string(getpid()));
         std::filesystem::remove_all(path_);
         std::filesystem::create_directories(path_);
     }

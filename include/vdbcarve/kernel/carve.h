@@ -89,8 +89,7 @@ struct LeafToCamera {
 VDBCARVE_HD LeafToCamera leaf_to_camera(const CarveView& view, int i0, int j0, int k0) {
     const double* m = view.camera_from_index;
     LeafToCamera out;
-    out.origin = {static_cast<float>(m[0] * i0 + m[1] * j0 + m[2] * k0 + m[3]),
-                  static_cast<float>(m[4] * i0 + m[5] * j0 + m[6] * k0 + m[7]),
+    out.origin = {static_cast<float>(m[0] * i0 + m[1] * j0 + m[2] * k0 + m[3]), static_cast<float>(m[4] * i0 + m[5] * j0 + m[6] * k0 + m[7]),
                   static_cast<float>(m[8] * i0 + m[9] * j0 + m[10] * k0 + m[11])};
     out.di = {static_cast<float>(m[0]), static_cast<float>(m[4]), static_cast<float>(m[8])};
     out.dj = {static_cast<float>(m[1]), static_cast<float>(m[5]), static_cast<float>(m[9])};
@@ -100,8 +99,7 @@ VDBCARVE_HD LeafToCamera leaf_to_camera(const CarveView& view, int i0, int j0, i
 
 /// Camera-space position of voxel (i, j, k), each a whole number in 0..7, of the leaf.
 VDBCARVE_HD Vec3 voxel_in_camera(const LeafToCamera& leaf, float fi, float fj, float fk) {
-    return {(leaf.origin.x + fi * leaf.di.x + fj * leaf.dj.x) + fk * leaf.dk.x,
-            (leaf.origin.y + fi * leaf.di.y + fj * leaf.dj.y) + fk * leaf.dk.y,
+    return {(leaf.origin.x + fi * leaf.di.x + fj * leaf.dj.x) + fk * leaf.dk.x, (leaf.origin.y + fi * leaf.di.y + fj * leaf.dj.y) + fk * leaf.dk.y,
             (leaf.origin.z + fi * leaf.di.z + fj * leaf.dj.z) + fk * leaf.dk.z};
 }
 
@@ -160,7 +158,12 @@ VDBCARVE_HD int16_t read_sample(const int16_t* p) {
 VDBCARVE_HD Patch fetch_patch(const FieldView& f, float u, float v) {
     const PatchPlace place = patch_place(f, u, v);
     const int16_t* p = f.samples + place.at;
-    return {static_cast<float>(read_sample(p)), static_cast<float>(read_sample(p + 1)), static_cast<float>(read_sample(p + f.width)), static_cast<float>(read_sample(p + f.width + 1)), place.a, place.b};
+    return {static_cast<float>(read_sample(p)),
+            static_cast<float>(read_sample(p + 1)),
+            static_cast<float>(read_sample(p + f.width)),
+            static_cast<float>(read_sample(p + f.width + 1)),
+            place.a,
+            place.b};
 }
 
 /// The sample nearest to an image point, in 1/64 px.
@@ -194,8 +197,7 @@ VDBCARVE_HD float interpolate(const Patch& p) {
 
 /// Distance in world units from a camera-space point to the cone over an image line whose distance and
 /// unit normal in the image are given: v = s Z / sqrt(|a|^2 + (a.m)^2), a = A^T n, m = (X/Z, Y/Z).
-VDBCARVE_HD float image_to_world_distance(const Projection& view, const PixelDistance& d, float mx, float my,
-                                          float depth) {
+VDBCARVE_HD float image_to_world_distance(const Projection& view, const PixelDistance& d, float mx, float my, float depth) {
     if (d.nx == 0.f && d.ny == 0.f) {
         if (view.orthographic) return d.value_px / view.sigma_max;
         return d.value_px * depth / (view.sigma_max * std::sqrt(1.f + mx * mx + my * my));
@@ -309,8 +311,7 @@ VDBCARVE_HD BinaryAnswer binary_answer(const CarveView& view, const Vec3& point_
     // In the sliver between the camera plane and near_depth pixel coordinates overflow: no evidence.
     if (!view.orthographic && point_camera.z <= near_depth) return {view.outside == Outside::Background, false};
     const Projected p = project(view, point_camera);
-    if (!(p.u >= 0.f && p.u < view.frame_width && p.v >= 0.f && p.v < view.frame_height))
-        return {view.outside == Outside::Background, false};
+    if (!(p.u >= 0.f && p.u < view.frame_width && p.v >= 0.f && p.v < view.frame_height)) return {view.outside == Outside::Background, false};
     return {nearest_sample(view.silhouette, p.u, p.v) > 0, !(view.ignored.samples && nearest_sample(view.ignored, p.u, p.v) > 0)};
 }
 
@@ -318,14 +319,13 @@ VDBCARVE_HD BinaryAnswer binary_answer(const CarveView& view, const Vec3& point_
 
 /// A ball that holds every voxel centre of a node.
 struct NodeBall {
-    double x, y, z;      ///< centre in camera space, world units
-    double radius;       ///< world units
+    double x, y, z;  ///< centre in camera space, world units
+    double radius;   ///< world units
 };
 
 VDBCARVE_HD NodeBall node_ball(const CarveView& view, double ci, double cj, double ck, double radius) {
     const double* m = view.camera_from_index;
-    return {m[0] * ci + m[1] * cj + m[2] * ck + m[3], m[4] * ci + m[5] * cj + m[6] * ck + m[7],
-            m[8] * ci + m[9] * cj + m[10] * ck + m[11], radius};
+    return {m[0] * ci + m[1] * cj + m[2] * ck + m[3], m[4] * ci + m[5] * cj + m[6] * ck + m[7], m[8] * ci + m[9] * cj + m[10] * ck + m[11], radius};
 }
 
 /// Radius in the normalised image (before A) within which every point of the ball projects around
@@ -344,8 +344,8 @@ enum class NodeAnswer : int {
 };
 
 struct NodeAnswers {
-    NodeAnswer hull;    ///< bounds view_value
-    NodeAnswer unseen;  ///< bounds unseen_value (Out: unseen everywhere; In: well seen everywhere)
+    NodeAnswer hull;      ///< bounds view_value
+    NodeAnswer unseen;    ///< bounds unseen_value (Out: unseen everywhere; In: well seen everywhere)
     float silhouette_px;  ///< the bound that decided, positive where background: which views to ask first
     /// The whole node lies so deep in frame and so far before the camera that view_value is silhouette_value.
     bool clear_of_frame;
@@ -391,23 +391,18 @@ VDBCARVE_HD NodeAnswers node_answers(const CarveView& view, const NodeBall& ball
     // 1.001 covers what beyond_band adds against rounding.
     out.clear_of_frame = -frame_px > frame_reach * 1.001;
     if (view.outside == Outside::Unknown) {
-        if (s_px > field_reach && -frame_px > frame_reach)
-            out.hull = NodeAnswer::Out;
-        else if (-s_px > field_reach || frame_px > frame_reach)
-            out.hull = NodeAnswer::In;
+        if (s_px > field_reach && -frame_px > frame_reach) out.hull = NodeAnswer::Out;
+        else if (-s_px > field_reach || frame_px > frame_reach) out.hull = NodeAnswer::In;
     } else {
-        if (s_px > field_reach || frame_px > frame_reach)
-            out.hull = NodeAnswer::Out;
-        else if (-s_px > field_reach && -frame_px > frame_reach)
-            out.hull = NodeAnswer::In;
+        if (s_px > field_reach || frame_px > frame_reach) out.hull = NodeAnswer::Out;
+        else if (-s_px > field_reach && -frame_px > frame_reach) out.hull = NodeAnswer::In;
     }
     double ignored_px = -1e30;
     if (view.ignored.samples)
-        ignored_px = band_px + kFieldSlop_px < view.ignored.reach_px ? distance_bound_px(view.ignored, static_cast<float>(u), static_cast<float>(v), field_reach) : 0.0;
-    if (frame_px > frame_reach || ignored_px > field_reach)
-        out.unseen = NodeAnswer::Out;
-    else if (-frame_px > frame_reach && -ignored_px > field_reach)
-        out.unseen = NodeAnswer::In;
+        ignored_px =
+            band_px + kFieldSlop_px < view.ignored.reach_px ? distance_bound_px(view.ignored, static_cast<float>(u), static_cast<float>(v), field_reach) : 0.0;
+    if (frame_px > frame_reach || ignored_px > field_reach) out.unseen = NodeAnswer::Out;
+    else if (-frame_px > frame_reach && -ignored_px > field_reach) out.unseen = NodeAnswer::In;
     return out;
 }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The arithmetic of colouring: which voxels, seen by which views, and what becomes of the colours they show.
 //
-// Frames: `index` (voxel centres at integers), points and eyes counted from a base near the surface (ColorBase), image pixels with the first pixel's centre at (0.5, 0.5). Colours are linear light.
-// Means are written as c0 + sum w (c - c0) / sum w: equal colours give exactly that colour.
+// Frames: `index` (voxel centres at integers), points and eyes counted from a base near the surface (ColorBase), image pixels with the first pixel's centre at
+// (0.5, 0.5). Colours are linear light. Means are written as c0 + sum w (c - c0) / sum w: equal colours give exactly that colour.
 #pragma once
 
 #include <cmath>
@@ -39,7 +39,8 @@ struct SurfacePoint {
 template <class Value>
 VDBCARVE_HD bool is_contour(const Value& value, float here, int i, int j, int k) {
     if (!(here < 0.f)) return false;
-    return value(i - 1, j, k) >= 0.f || value(i + 1, j, k) >= 0.f || value(i, j - 1, k) >= 0.f || value(i, j + 1, k) >= 0.f || value(i, j, k - 1) >= 0.f || value(i, j, k + 1) >= 0.f;
+    return value(i - 1, j, k) >= 0.f || value(i + 1, j, k) >= 0.f || value(i, j - 1, k) >= 0.f || value(i, j + 1, k) >= 0.f || value(i, j, k - 1) >= 0.f ||
+           value(i, j, k + 1) >= 0.f;
 }
 
 /// Outward unit normal from central differences of the level set; where they cancel, (0, 0, 0).
@@ -73,8 +74,8 @@ VDBCARVE_HD Vec3 windowed_normal(const Value& value, int i, int j, int k, int ra
 
 /// How normals are found.
 struct NormalRule {
-    int radius_vox;         ///< 0: field_normal
-    const float* weights;   ///< of windowed_normal
+    int radius_vox;        ///< 0: field_normal
+    const float* weights;  ///< of windowed_normal
 };
 
 /// The surface point nearest to a contour voxel.
@@ -91,31 +92,31 @@ VDBCARVE_HD SurfacePoint surface_point(const Value& value, float here, float vox
 struct ColorView : Projection {
     /// Row-major 3x4: camera-space point (world units) = matrix * (i, j, k, 1), voxels from the base.
     double camera_from_index[12];
-    Vec3 eye;              ///< camera centre, voxels from the base; orthographic: unit direction towards the camera
-    float width, height;   ///< of the photograph, px
-    float near_depth;      ///< world units
-    float voxel_px;        ///< pixels across a voxel at depth 1 (perspective) or anywhere (orthographic)
-    FieldView silhouette;  ///< of the object without what is ignored, one sample a pixel
-    const uint8_t* texels8;    ///< sRGB, interleaved; or
+    Vec3 eye;                ///< camera centre, voxels from the base; orthographic: unit direction towards the camera
+    float width, height;     ///< of the photograph, px
+    float near_depth;        ///< world units
+    float voxel_px;          ///< pixels across a voxel at depth 1 (perspective) or anywhere (orthographic)
+    FieldView silhouette;    ///< of the object without what is ignored, one sample a pixel
+    const uint8_t* texels8;  ///< sRGB, interleaved; or
     const uint16_t* texels16;
-    int channels;          ///< 1, 3 or 4
-    const float* linear;   ///< linear light of every value a texel can have
+    int channels;         ///< 1, 3 or 4
+    const float* linear;  ///< linear light of every value a texel can have
     float gain[3];
 };
 
-inline constexpr float kLeastCosine = 0.1f;      ///< more grazing views are not asked
-inline constexpr float kEdgeMargin_px = 3.f;     ///< nearer to a silhouette's edge, inside it, no sample is taken
-inline constexpr float kFullMargin_px = 10.f;    ///< from here on the edge costs no weight
-inline constexpr int kMarginReach_px = 12;       ///< of the silhouettes' distance fields
-inline constexpr float kSightStart_vox = 2.f;    ///< lines of sight begin so far out, along the normal
-inline constexpr float kSightBlock_vox = 0.5f;   ///< and end at voxels nearer to the surface than this
+inline constexpr float kLeastCosine = 0.1f;     ///< more grazing views are not asked
+inline constexpr float kEdgeMargin_px = 3.f;    ///< nearer to a silhouette's edge, inside it, no sample is taken
+inline constexpr float kFullMargin_px = 10.f;   ///< from here on the edge costs no weight
+inline constexpr int kMarginReach_px = 12;      ///< of the silhouettes' distance fields
+inline constexpr float kSightStart_vox = 2.f;   ///< lines of sight begin so far out, along the normal
+inline constexpr float kSightBlock_vox = 0.5f;  ///< and end at voxels nearer to the surface than this
 inline constexpr int kMaxTaps = 4;
 
 /// How views are chosen.
 struct ColorRule {
-    int best;             ///< 1: the paper's, one view, the one most in front; 0: blend
-    int test_occlusion;   ///< 0: the paper's fault
-    int skip_upright;     ///< 1: listing 4.2's first lines: faces that look straight up or down stay without colour
+    int best;            ///< 1: the paper's, one view, the one most in front; 0: blend
+    int test_occlusion;  ///< 0: the paper's fault
+    int skip_upright;    ///< 1: listing 4.2's first lines: faces that look straight up or down stay without colour
     Vec3 up;
     SightBox box;
 };
@@ -211,7 +212,8 @@ VDBCARVE_HD Rgb sample_photo(const ColorView& view, const Sight& sight) {
     const float first = -0.5f * static_cast<float>(sight.taps - 1);
     RgbMean mean;
     for (int j = 0; j < sight.taps; ++j)
-        for (int i = 0; i < sight.taps; ++i) mean.add(sample_bilinear(view, sight.u + (first + static_cast<float>(i)), sight.v + (first + static_cast<float>(j))), 1.f);
+        for (int i = 0; i < sight.taps; ++i)
+            mean.add(sample_bilinear(view, sight.u + (first + static_cast<float>(i)), sight.v + (first + static_cast<float>(j))), 1.f);
     return mean.value();
 }
 
@@ -228,13 +230,16 @@ struct Candidate {
 inline constexpr int kCandidates = 6;
 
 /// Weight decides, of equal ones the first view.
-VDBCARVE_HD bool comes_before(float weight_a, int view_a, float weight_b, int view_b) { return weight_a > weight_b || (weight_a == weight_b && view_a < view_b); }
+VDBCARVE_HD bool comes_before(float weight_a, int view_a, float weight_b, int view_b) {
+    return weight_a > weight_b || (weight_a == weight_b && view_a < view_b);
+}
 
 VDBCARVE_HD int kept_candidates(const ColorRule& rule) { return rule.best ? 1 : kCandidates; }
 
 /// Adds the views first <= i < last (views[0] is view `first`) to a point's candidates: afterwards `found` holds the weightiest
 /// that see it, in order, whatever the batches were. Lines of sight are followed in order of weight, only while they can matter.
-VDBCARVE_HD int find_views(SightCells& cells, const ColorView* views, int first, int last, const ColorRule& rule, const SurfacePoint& p, Candidate* found, int count) {
+VDBCARVE_HD int find_views(SightCells& cells, const ColorView* views, int first, int last, const ColorRule& rule, const SurfacePoint& p, Candidate* found,
+                           int count) {
     if (p.nx == 0.f && p.ny == 0.f && p.nz == 0.f) return count;
     if (rule.skip_upright) {
         const float upright = std::fabs(p.nx * rule.up.x + p.ny * rule.up.y + p.nz * rule.up.z);
@@ -284,8 +289,8 @@ struct PointColor {
 };
 
 inline constexpr int kBlended = 3;
-inline constexpr float kOutlierMads = 3.f * 1.4826f;  ///< a normal distribution's deviation is 1.4826 MAD
-inline constexpr float kLeastOutlier = 0.02f;         ///< share of the median that is never an outlier
+inline constexpr float kOutlierMads = 3.f * 1.4826f;      ///< a normal distribution's deviation is 1.4826 MAD
+inline constexpr float kLeastOutlier = 0.02f;             ///< share of the median that is never an outlier
 inline constexpr float kWidestBlendCosine = 0.76604444f;  ///< 40 degrees between the views' lines of sight
 
 /// Where half the weight is below; `values` is sorted along the way. At most kCandidates.

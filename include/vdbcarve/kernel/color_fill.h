@@ -58,7 +58,7 @@ VDBCARVE_HD int32_t find_key(const uint64_t* keys, int32_t count, uint64_t key, 
 }
 
 inline constexpr int kFillNeighbours = 26;
-inline constexpr int kFillSweeps = 24;   ///< on every level
+inline constexpr int kFillSweeps = 24;  ///< on every level
 inline constexpr float kFillDamping = 0.85f;
 
 /// The n-th neighbouring cell's number, or -1.

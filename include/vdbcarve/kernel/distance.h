@@ -17,8 +17,8 @@
 
 namespace vdbcarve::kernel {
 
-inline constexpr int kSubpixel = 64;      ///< units of a pixel
-inline constexpr int kRefine_px = 3;      ///< pieces of contour are measured this far out
+inline constexpr int kSubpixel = 64;  ///< units of a pixel
+inline constexpr int kRefine_px = 3;  ///< pieces of contour are measured this far out
 /// Distances saturate here at the latest: the sum of two squares in 1/64 px stays below 2^31, a value fits int16.
 inline constexpr int kMaxReach_px = 500;
 
@@ -71,13 +71,12 @@ struct ContourPieces {
 
 VDBCARVE_HD ContourPieces contour_pieces(uint8_t m00, uint8_t m10, uint8_t m11, uint8_t m01) {
     ContourPieces out{};
-    const int mask = (is_object(m00) ? 1 : 0) | (is_object(m10) ? 2 : 0) | (is_object(m11) ? 4 : 0) |
-                     (is_object(m01) ? 8 : 0);
+    const int mask = (is_object(m00) ? 1 : 0) | (is_object(m10) ? 2 : 0) | (is_object(m11) ? 4 : 0) | (is_object(m01) ? 8 : 0);
     if (mask == 0 || mask == 15) return out;
     // Crossing points on the four edges: 0 top, 1 right, 2 bottom, 3 left.
     int x[4] = {0, kSubpixel, 0, 0}, y[4] = {0, 0, kSubpixel, 0};
-    const bool has[4] = {((mask ^ (mask >> 1)) & 1) != 0, (((mask >> 1) ^ (mask >> 2)) & 1) != 0,
-                         (((mask >> 3) ^ (mask >> 2)) & 1) != 0, ((mask ^ (mask >> 3)) & 1) != 0};
+    const bool has[4] = {((mask ^ (mask >> 1)) & 1) != 0, (((mask >> 1) ^ (mask >> 2)) & 1) != 0, (((mask >> 3) ^ (mask >> 2)) & 1) != 0,
+                         ((mask ^ (mask >> 3)) & 1) != 0};
     if (has[0]) x[0] = crossing(m00, m10);
     if (has[1]) y[1] = crossing(m10, m11);
     if (has[2]) x[2] = crossing(m01, m11);
@@ -99,10 +98,8 @@ VDBCARVE_HD ContourPieces contour_pieces(uint8_t m00, uint8_t m10, uint8_t m11, 
         int first = -1;
         for (int e = 0; e < 4; ++e) {
             if (!has[e]) continue;
-            if (first < 0)
-                first = e;
-            else
-                add(first, e);
+            if (first < 0) first = e;
+            else add(first, e);
         }
     }
     return out;

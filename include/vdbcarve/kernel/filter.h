@@ -24,7 +24,9 @@ struct FilterPass {
 };
 
 /// A value of the level set in voxels. What lies at the band's end, or beyond, is exactly there: a quotient may be a digit short.
-VDBCARVE_HD float in_voxels(float value, float voxel, float band, float band_vox) { return value >= band ? band_vox : value <= -band ? -band_vox : value / voxel; }
+VDBCARVE_HD float in_voxels(float value, float voxel, float band, float band_vox) {
+    return value >= band ? band_vox : value <= -band ? -band_vox : value / voxel;
+}
 
 /// What stands in for a leaf that is not there.
 inline constexpr int32_t kOutsideTile = -1, kInsideTile = -2;

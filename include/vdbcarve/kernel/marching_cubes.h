@@ -67,7 +67,8 @@ struct MeshPoint {
 /// World position of the vertex on the edge along `axis` from voxel (i, j, k).
 VDBCARVE_HD MeshPoint edge_vertex(const LatticeFrame& frame, int i, int j, int k, int axis, float share) {
     const double s = share;
-    return {static_cast<float>((axis == 0 ? i + s : i) * frame.voxel_size + frame.first[0]), static_cast<float>((axis == 1 ? j + s : j) * frame.voxel_size + frame.first[1]),
+    return {static_cast<float>((axis == 0 ? i + s : i) * frame.voxel_size + frame.first[0]),
+            static_cast<float>((axis == 1 ? j + s : j) * frame.voxel_size + frame.first[1]),
             static_cast<float>((axis == 2 ? k + s : k) * frame.voxel_size + frame.first[2])};
 }
 

@@ -130,7 +130,8 @@ struct CellWalk {
     nanovdb::Coord cell;
 
     /// From `start` along `direction` (unit) up to `length` voxels or the box's far side.
-    VDBCARVE_HD CellWalk(const SightBox& box, const Vec3& start, const Vec3& direction, float length) : from{start.x + 0.5f, start.y + 0.5f, start.z + 0.5f}, along{direction.x, direction.y, direction.z}, end(length) {
+    VDBCARVE_HD CellWalk(const SightBox& box, const Vec3& start, const Vec3& direction, float length)
+        : from{start.x + 0.5f, start.y + 0.5f, start.z + 0.5f}, along{direction.x, direction.y, direction.z}, end(length) {
         for (int a = 0; a < 3; ++a) {
             inverse[a] = along[a] == 0.f ? 0.f : 1.f / along[a];
             if (along[a] != 0.f) end = min_f(end, ((along[a] > 0.f ? box.hi[a] : box.lo[a]) - from[a]) * inverse[a]);

@@ -36,9 +36,9 @@ struct Lights {
 
 /// A level set and its colours, as a renderer sees them. Borrowed.
 struct RenderVolume {
-    SightGrid near;   ///< walls: where a zero may be
-    SightGrid solid;  ///< walls: inside
-    SightBox box;     ///< the leaves' cells, from the base and shifted by half a voxel, so that cells begin at integers
+    SightGrid near;                                  ///< walls: where a zero may be
+    SightGrid solid;                                 ///< walls: inside
+    SightBox box;                                    ///< the leaves' cells, from the base and shifted by half a voxel, so that cells begin at integers
     const nanovdb::NanoGrid<nanovdb::Vec3f>* color;  ///< active where there is a colour; null: none
     float voxel_size;
 };
@@ -47,24 +47,24 @@ struct RenderVolume {
 struct RenderRule {
     int style;
     int width, height;
-    int samples;            ///< rays along a pixel's side
+    int samples;  ///< rays along a pixel's side
     int orthographic;
-    double origin[3];       ///< perspective: the eye. Orthographic: of the ray through (0, 0)
+    double origin[3];                ///< perspective: the eye. Orthographic: of the ray through (0, 0)
     double corner[3], du[3], dv[3];  ///< perspective: direction = corner + u du + v dv. Orthographic: origin moves by du, dv, direction is corner
-    double length;          ///< of `corner` in ortho; 1 else
-    float iso_vox;          ///< the surface lies where the distance is this
+    double length;                   ///< of `corner` in ortho; 1 else
+    float iso_vox;                   ///< the surface lies where the distance is this
     Lights lights;
-    int ambient_rays;       ///< 0: no ambient occlusion
+    int ambient_rays;  ///< 0: no ambient occlusion
     float ambient_reach_vox;
-    const Vec3* ambient;    ///< kAmbientSets x ambient_rays directions about z, cosine-weighted
+    const Vec3* ambient;  ///< kAmbientSets x ambient_rays directions about z, cosine-weighted
     int use_color;
-    Rgb plain;              ///< of what has no colour
-    float plane[4];         ///< of kRenderSlice: points p with plane . (p, 1) = 0
-    float line_vox;         ///< half the width of its contour line
-    float thickness_vox;    ///< of kRenderXRay: so thick an object lets half of the light through
-    int opaque;             ///< 1: over `background`
+    Rgb plain;            ///< of what has no colour
+    float plane[4];       ///< of kRenderSlice: points p with plane . (p, 1) = 0
+    float line_vox;       ///< half the width of its contour line
+    float thickness_vox;  ///< of kRenderXRay: so thick an object lets half of the light through
+    int opaque;           ///< 1: over `background`
     Rgb background;
-    const uint8_t* srgb;    ///< kSrgbSteps values
+    const uint8_t* srgb;  ///< kSrgbSteps values
 };
 
 /// Linear light and how much of what is behind is covered.
@@ -96,7 +96,8 @@ class FieldReader {
             for (int corner = 0; corner < 8; ++corner) sum += weight(corner) * values[n + ((corner & 4) << 4) + ((corner & 2) << 2) + (corner & 1)];
         } else {
 #pragma unroll 1
-            for (int corner = 0; corner < 8; ++corner) sum += weight(corner) * voxel(nanovdb::Coord(o[0] + (corner >> 2), o[1] + (corner >> 1 & 1), o[2] + (corner & 1)));
+            for (int corner = 0; corner < 8; ++corner)
+                sum += weight(corner) * voxel(nanovdb::Coord(o[0] + (corner >> 2), o[1] + (corner >> 1 & 1), o[2] + (corner & 1)));
         }
         return scale_ * sum;
     }
@@ -161,7 +162,8 @@ class ColorGridReader {
         return true;
     }
     VDBCARVE_HD bool at(float x, float y, float z, Rgb& out) {
-        return interpolate_color([this](int i, int j, int k, Rgb& c) { return voxel(i, j, k, c); }, static_cast<double>(x), static_cast<double>(y), static_cast<double>(z), out);
+        return interpolate_color([this](int i, int j, int k, Rgb& c) { return voxel(i, j, k, c); }, static_cast<double>(x), static_cast<double>(y),
+                                 static_cast<double>(z), out);
     }
 
   private:
@@ -225,7 +227,9 @@ VDBCARVE_HD PixelRay pixel_ray(const RenderRule& rule, const SightBox& box, doub
     return ray;
 }
 
-VDBCARVE_HD Vec3 along(const Vec3& start, float t, const Vec3& direction) { return {start.x + t * direction.x, start.y + t * direction.y, start.z + t * direction.z}; }
+VDBCARVE_HD Vec3 along(const Vec3& start, float t, const Vec3& direction) {
+    return {start.x + t * direction.x, start.y + t * direction.y, start.z + t * direction.z};
+}
 
 inline constexpr float kFarthest_vox = 1e9f;
 
@@ -234,7 +238,7 @@ VDBCARVE_HD bool find_surface(FieldReader& field, SightCells& cells, const Rende
     // The field is read at one place only: a GPU's instructions are to stay in their cache (three places: half as fast).
     CellWalk walk(volume.box, ray.start, ray.direction, kFarthest_vox);
     float t = 0.f, t0 = 0.f, v0 = -1.f, t1 = 0.f, v1 = 0.f;  // last place outside, first inside; v0 < 0: none outside yet
-    int refinements = -1;  // still to be done; -1: the surface is not found yet
+    int refinements = -1;                                    // still to be done; -1: the surface is not found yet
     for (;;) {
         if (refinements < 0) {
             int width = 1;
@@ -366,10 +370,12 @@ VDBCARVE_HD uint32_t pixel_of(const RenderRule& rule, const Shade& sum, float ra
     const float alpha = sum.alpha / rays;
     if (rule.opaque) {
         const float behind = 1.f - alpha;
-        return srgb8(rule, sum.color.r / rays + behind * rule.background.r) | srgb8(rule, sum.color.g / rays + behind * rule.background.g) << 8 | srgb8(rule, sum.color.b / rays + behind * rule.background.b) << 16 | 0xff000000u;
+        return srgb8(rule, sum.color.r / rays + behind * rule.background.r) | srgb8(rule, sum.color.g / rays + behind * rule.background.g) << 8 |
+               srgb8(rule, sum.color.b / rays + behind * rule.background.b) << 16 | 0xff000000u;
     }
     if (!(sum.alpha > 0.f)) return 0;
-    return srgb8(rule, sum.color.r / sum.alpha) | srgb8(rule, sum.color.g / sum.alpha) << 8 | srgb8(rule, sum.color.b / sum.alpha) << 16 | static_cast<uint32_t>(255.f * alpha + 0.5f) << 24;
+    return srgb8(rule, sum.color.r / sum.alpha) | srgb8(rule, sum.color.g / sum.alpha) << 8 | srgb8(rule, sum.color.b / sum.alpha) << 16 |
+           static_cast<uint32_t>(255.f * alpha + 0.5f) << 24;
 }
 
 /// `style` is the rule's: one known when compiling, a kernel for each.
@@ -398,10 +404,17 @@ VDBCARVE_HD uint32_t render_pixel(const RenderVolume& volume, const RenderRule& 
 template <class Work>
 void with_style(int style, const Work& work) {
     switch (style) {
-        case kRenderSurface: work(std::integral_constant<int, kRenderSurface>()); break;
-        case kRenderVoxels: work(std::integral_constant<int, kRenderVoxels>()); break;
-        case kRenderXRay: work(std::integral_constant<int, kRenderXRay>()); break;
-        default: work(std::integral_constant<int, kRenderSlice>());
+        case kRenderSurface:
+            work(std::integral_constant<int, kRenderSurface>());
+            break;
+        case kRenderVoxels:
+            work(std::integral_constant<int, kRenderVoxels>());
+            break;
+        case kRenderXRay:
+            work(std::integral_constant<int, kRenderXRay>());
+            break;
+        default:
+            work(std::integral_constant<int, kRenderSlice>());
     }
 }
 

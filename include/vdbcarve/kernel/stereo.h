@@ -6,8 +6,8 @@
 // weighted normalised cross-correlation (Schoenberger et al. 2016), searched only where the visual hull leaves room.
 //
 // Frames: image pixels of the working size, the first pixel's centre at (0.5, 0.5); camera space, z forward. A plane is written by `s`, the inverse depth 1/z
-// for a perspective reference and z for an orthographic one: over a plane s is linear in pixel coordinates, whichever it is, so that the way into another picture is
-// one projective map. Only +, -, *, /, sqrt: both backends give the same bits.
+// for a perspective reference and z for an orthographic one: over a plane s is linear in pixel coordinates, whichever it is, so that the way into another
+// picture is one projective map. Only +, -, *, /, sqrt: both backends give the same bits.
 #pragma once
 
 #include <cstdint>
@@ -19,9 +19,9 @@ namespace vdbcarve::kernel {
 
 inline constexpr int kMostStereoPairs = 8;
 inline constexpr int kWindowSide = 5, kWindowStep_px = 2, kWindowSamples = kWindowSide * kWindowSide;  ///< 25 samples of 9 x 9 pixels
-inline constexpr float kNoCost = 2.f;               ///< nothing is known; 1 - ZNCC is at most 2
-inline constexpr float kLeastStereoCosine = 0.15f;  ///< between a plane's normal and the line of sight
-inline constexpr float kLeastVariance = 1e-6f;      ///< of a window, so that flat ones compare as unlike instead of by their noise
+inline constexpr float kNoCost = 2.f;                                                                  ///< nothing is known; 1 - ZNCC is at most 2
+inline constexpr float kLeastStereoCosine = 0.15f;                                                     ///< between a plane's normal and the line of sight
+inline constexpr float kLeastVariance = 1e-6f;  ///< of a window, so that flat ones compare as unlike instead of by their noise
 
 /// A view at the working size. Borrowed.
 struct StereoImage {
@@ -115,10 +115,10 @@ struct StereoReference {
     int view, pairs;
     StereoPair pair[kMostStereoPairs];
     StereoImage other[kMostStereoPairs];
-    const HullSight* hull; ///< of every pixel; front 0 also where the pixel is not of the object
+    const HullSight* hull;     ///< of every pixel; front 0 also where the pixel is not of the object
     const StereoBest* coarse;  ///< planes found at half the working size, to begin with; null: there are none
     int coarse_width, coarse_height;
-    float margin;          ///< the search begins so much before the hull, world units
+    float margin;  ///< the search begins so much before the hull, world units
 };
 
 /// Between which s the search goes at a pixel of the object.
@@ -218,7 +218,8 @@ VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, co
         const float z = at[2] + fi * across[2] + fj * down[2];
         const float inverse = 1.f / z;
         const float x = (at[0] + fi * across[0] + fj * down[0]) * inverse - 0.5f, y = (at[1] + fi * across[1] + fj * down[1]) * inverse - 0.5f;
-        outside |= static_cast<int>(!(z > 0.f)) | static_cast<int>(!(x >= 0.f)) | static_cast<int>(!(y >= 0.f)) | static_cast<int>(!(x < width)) | static_cast<int>(!(y < height));
+        outside |= static_cast<int>(!(z > 0.f)) | static_cast<int>(!(x >= 0.f)) | static_cast<int>(!(y >= 0.f)) | static_cast<int>(!(x < width)) |
+                   static_cast<int>(!(y < height));
         xs[n] = x;
         ys[n] = y;
     }
@@ -229,7 +230,8 @@ VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, co
         const int xi = static_cast<int>(xs[n]), yi = static_cast<int>(ys[n]);
         const float a = xs[n] - static_cast<float>(xi), b = ys[n] - static_cast<float>(yi);
         const int first = yi * stride + xi;
-        const float top = grey[first] + a * (grey[first + 1] - grey[first]), bottom = grey[first + stride] + a * (grey[first + stride + 1] - grey[first + stride]);
+        const float top = grey[first] + a * (grey[first + 1] - grey[first]),
+                    bottom = grey[first + stride] + a * (grey[first + stride + 1] - grey[first + stride]);
         values[n] = top + b * (bottom - top) - w.mean;
     }
     for (int n = 0; n < kWindowSamples; ++n) {
@@ -243,7 +245,8 @@ VDBCARVE_HD float pair_cost(const StereoPair& pair, const StereoImage& other, co
     return 1.f - product / std::sqrt((w.variance + kLeastVariance) * (variance + kLeastVariance));
 }
 
-/// Mean of the better half of the views' costs (at least two): the others do not see the place, or see it badly. Views are no longer asked once it cannot be less than `enough`, and that is returned.
+/// Mean of the better half of the views' costs (at least two): the others do not see the place, or see it badly. Views are no longer asked once it cannot be
+/// less than `enough`, and that is returned.
 VDBCARVE_HD float plane_cost(const StereoReference& r, const StereoWindow& w, const StereoPlane& plane, float u, float v, float enough) {
     float cost[kMostStereoPairs];
     const int half = r.pairs < 4 ? (r.pairs < 2 ? r.pairs : 2) : r.pairs / 2;
@@ -273,7 +276,9 @@ VDBCARVE_HD uint32_t scrambled(uint32_t x) {
 struct StereoDice {
     uint32_t state;
 };
-VDBCARVE_HD StereoDice dice_of(int view, int pixel, int pass) { return {scrambled(static_cast<uint32_t>(pixel) ^ scrambled(static_cast<uint32_t>(view) * 64u + static_cast<uint32_t>(pass)))}; }
+VDBCARVE_HD StereoDice dice_of(int view, int pixel, int pass) {
+    return {scrambled(static_cast<uint32_t>(pixel) ^ scrambled(static_cast<uint32_t>(view) * 64u + static_cast<uint32_t>(pass)))};
+}
 /// -1 to 1.
 VDBCARVE_HD float thrown(StereoDice& dice) {
     dice.state = scrambled(dice.state);
@@ -281,7 +286,8 @@ VDBCARVE_HD float thrown(StereoDice& dice) {
 }
 
 /// Takes the candidate where it is possible and better.
-VDBCARVE_HD void try_plane(const StereoReference& r, const StereoWindow& w, const StereoRange& range, const StereoPlane& plane, float u, float v, StereoBest& best) {
+VDBCARVE_HD void try_plane(const StereoReference& r, const StereoWindow& w, const StereoRange& range, const StereoPlane& plane, float u, float v,
+                           StereoBest& best) {
     if (!(plane.s >= range.lo && plane.s <= range.hi)) return;
     if (!(sight_cosine(r.lens, plane_normal(r.lens, plane, u, v), u, v) >= kLeastStereoCosine)) return;
     const float cost = plane_cost(r, w, plane, u, v, best.cost);
@@ -326,7 +332,8 @@ VDBCARVE_HD StereoBest first_plane(const StereoReference& r, int x, int y) {
     return best;
 }
 
-/// One pass over a pixel: planes of pixels of the other colour of a chessboard, then changes at random, halved from pass to pass. `planes` are those of all pixels.
+/// One pass over a pixel: planes of pixels of the other colour of a chessboard, then changes at random, halved from pass to pass. `planes` are those of all
+/// pixels.
 VDBCARVE_HD StereoBest better_plane(const StereoReference& r, const StereoBest* planes, int x, int y, int pass) {
     const int width = r.image.width, at = y * width + x;
     StereoBest best = planes[at];
@@ -366,7 +373,8 @@ struct StereoTrustRule {
     float agreement_px, normal_cosine;
 };
 
-/// Whether another place on the line of sight, at least three pixels away in some view, is as good but for less than the margin: repeated patterns and blank walls have such rivals.
+/// Whether another place on the line of sight, at least three pixels away in some view, is as good but for less than the margin: repeated patterns and blank
+/// walls have such rivals.
 VDBCARVE_HD bool has_rival(const StereoReference& r, const StereoWindow& w, const StereoBest& best, float least_margin, int x, int y) {
     constexpr int kRivals = 24;
     constexpr float kApart_px = 3.f;
@@ -409,7 +417,8 @@ struct StereoDepths {
 };
 
 /// Whether another view's depth and normal say the same of a reference pixel's place.
-VDBCARVE_HD bool agrees(const StereoReference& r, const StereoPair& pair, const StereoDepths& other, const StereoPlane& plane, const Vec3& normal, const StereoTrustRule& rule, float u, float v) {
+VDBCARVE_HD bool agrees(const StereoReference& r, const StereoPair& pair, const StereoDepths& other, const StereoPlane& plane, const Vec3& normal,
+                        const StereoTrustRule& rule, float u, float v) {
     const float* m = pair.from_pixel;
     float at[3];
     for (int a = 0; a < 3; ++a) at[a] = m[3 * a] * u + m[3 * a + 1] * v + m[3 * a + 2] + plane.s * pair.along[a];
@@ -430,7 +439,8 @@ VDBCARVE_HD bool agrees(const StereoReference& r, const StereoPair& pair, const 
     if (!((dx * dx + dy * dy) * (ds * ds) <= rule.agreement_px * rule.agreement_px)) return false;
     const Vec3 o = plane_normal(other.lens, other.planes[n].plane, ou, ov);
     const float* t = pair.turn;
-    const Vec3 turned{t[0] * normal.x + t[1] * normal.y + t[2] * normal.z, t[3] * normal.x + t[4] * normal.y + t[5] * normal.z, t[6] * normal.x + t[7] * normal.y + t[8] * normal.z};
+    const Vec3 turned{t[0] * normal.x + t[1] * normal.y + t[2] * normal.z, t[3] * normal.x + t[4] * normal.y + t[5] * normal.z,
+                      t[6] * normal.x + t[7] * normal.y + t[8] * normal.z};
     return dot(o, turned) >= rule.normal_cosine;
 }
 
@@ -454,11 +464,11 @@ struct FusionView {
     float pixel_from_index[12];  ///< homogeneous, voxels from the base
     float depth_from_index[4];   ///< voxels
     const StereoBest* planes;
-    const float* confidence;     ///< 0: nothing is known
+    const float* confidence;  ///< 0: nothing is known
     StereoLens lens;
     int width, height;
-    float per_voxel;             ///< 1 / voxel size
-    float weight;                ///< of all its depths
+    float per_voxel;  ///< 1 / voxel size
+    float weight;     ///< of all its depths
 };
 
 /// What depths say of a place; distances in voxels, outwards.
@@ -468,8 +478,9 @@ struct Fused {
     int views = 0;
 };
 
-/// Adds what one view says of the voxel (i, j, k) from the base: its distance to the plane seen there, at most the truncation; nothing where it lies deeper behind it than `reach_vox`. That reaches
-/// farther than the truncation, so that a view that sees through a thin part does not outvote those that see its surface.
+/// Adds what one view says of the voxel (i, j, k) from the base: its distance to the plane seen there, at most the truncation; nothing where it lies deeper
+/// behind it than `reach_vox`. That reaches farther than the truncation, so that a view that sees through a thin part does not outvote those that see its
+/// surface.
 VDBCARVE_HD void fuse_view(const FusionView& f, float i, float j, float k, float reach_vox, float truncation_vox, Fused& out) {
     const float* m = f.pixel_from_index;
     const float w = m[8] * i + m[9] * j + m[10] * k + m[11];

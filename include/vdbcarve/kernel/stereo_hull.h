@@ -10,9 +10,9 @@ namespace vdbcarve::kernel {
 /// What it takes to ask the hull about a view's pixels.
 struct HullView {
     RenderRule rays;
-    double depth[4];     ///< along the camera's z, world units: depth[0..2] (voxels from the base) + depth[3]
-    double normal[9];    ///< camera axes from world axes
-    double deepest;      ///< the search ends so far behind the first surface, world units
+    double depth[4];   ///< along the camera's z, world units: depth[0..2] (voxels from the base) + depth[3]
+    double normal[9];  ///< camera axes from world axes
+    double deepest;    ///< the search ends so far behind the first surface, world units
     bool orthographic;
 };
 
@@ -35,7 +35,9 @@ VDBCARVE_HD HullSight hull_sight(FieldReader& field, SightCells& cells, const Re
         }
     }
     double z[2];
-    for (int n = 0; n < 2; ++n) z[n] = view.depth[0] * static_cast<double>(place[n].x) + view.depth[1] * static_cast<double>(place[n].y) + view.depth[2] * static_cast<double>(place[n].z) + view.depth[3];
+    for (int n = 0; n < 2; ++n)
+        z[n] = view.depth[0] * static_cast<double>(place[n].x) + view.depth[1] * static_cast<double>(place[n].y) +
+               view.depth[2] * static_cast<double>(place[n].z) + view.depth[3];
     if (!(view.orthographic || z[0] > 0.0)) return out;
     if (z[1] > z[0] + view.deepest) z[1] = z[0] + view.deepest;
     if (!(z[1] > z[0])) z[1] = z[0];
@@ -43,7 +45,9 @@ VDBCARVE_HD HullSight hull_sight(FieldReader& field, SightCells& cells, const Re
     out.back = static_cast<float>(view.orthographic ? z[1] : 1.0 / z[1]);
     const Vec3 n = field.normal(place[0].x, place[0].y, place[0].z, back);
     const double* r = view.normal;
-    const auto row = [&](int a) { return static_cast<float>(r[3 * a] * static_cast<double>(n.x) + r[3 * a + 1] * static_cast<double>(n.y) + r[3 * a + 2] * static_cast<double>(n.z)); };
+    const auto row = [&](int a) {
+        return static_cast<float>(r[3 * a] * static_cast<double>(n.x) + r[3 * a + 1] * static_cast<double>(n.y) + r[3 * a + 2] * static_cast<double>(n.z));
+    };
     out.normal = {row(0), row(1), row(2)};
     return out;
 }
