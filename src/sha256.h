@@ -1,18 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-// SHA-256 (FIPS 180-4), for keys and for file identifiers made from content. Private.
+// SHA-256 (FIPS 180-4) by OpenSSL, which uses the processor's instructions for it: for keys, for what is stored, and for file identifiers made from content.
+// Private.
 #pragma once
 
-#include <array>
-#include <cstdint>
+#include <cstddef>
 #include <filesystem>
 #include <string>
 #include <string_view>
 #include <type_traits>
 
+struct evp_md_ctx_st;  // OpenSSL's
+
 namespace vdbcarve {
 
 class Sha256 {
   public:
+    Sha256();
+    ~Sha256();
+    Sha256(const Sha256& other);
+    Sha256& operator=(const Sha256&) = delete;
+
     Sha256& add(const void* data, size_t bytes);
     Sha256& add(std::string_view text) { return add_value(text.size()).add(text.data(), text.size()); }
     template <class T>
@@ -24,11 +31,7 @@ class Sha256 {
     std::string hex();
 
   private:
-    void block(const uint8_t* p);
-    std::array<uint32_t, 8> h_{0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
-    std::array<uint8_t, 64> buffer_{};
-    size_t filled_ = 0;
-    uint64_t bytes_ = 0;
+    evp_md_ctx_st* state_;
 };
 
 /// Hash of a file's content. Throws InputError when it cannot be read.

@@ -8,7 +8,7 @@ packages=(g++ cmake ninja-build ccache git ca-certificates
   libopenvdb-dev libnanovdb-dev libtbb-dev libopencv-dev libopencv-contrib-dev libeigen3-dev libopenmesh-dev
   libcli11-dev libspdlog-dev nlohmann-json3-dev libtinygltf-dev libgtest-dev libbenchmark-dev libnanoflann-dev
   libimath-dev libboost-iostreams-dev libblosc-dev zlib1g-dev libvalijson-dev
-  libavutil-dev libexif-dev libheif-dev libjpeg-dev liblcms2-dev libmatio-dev libpugixml-dev libtiff-dev pkg-config)
+  libavutil-dev libexif-dev libheif-dev libjpeg-dev liblcms2-dev libmatio-dev libpugixml-dev libssl-dev libtiff-dev pkg-config)
 dev=no
 if [ "${1:-}" = "--dev" ]; then
   dev=yes
