@@ -14,11 +14,11 @@ int main(int count, char** words) {
     }
     ReconstructOptions options;
     options.views.scene = words[1];
-    options.output = words[2];
-    options.resolution = 384;
-    options.filters = parse_filters("edge-preserving:1");
-    options.mesh_formats = {"glb"};
-    if (count > 3) options.faces = static_cast<size_t>(std::atol(words[3]));
+    options.run.output = words[2];
+    options.grid.resolution = 384;
+    options.filter.steps = parse_filters("edge-preserving:1");
+    options.result.mesh_formats = {"glb"};
+    if (count > 3) options.smooth.faces = static_cast<size_t>(std::atol(words[3]));
 
     Progress progress;
     progress.on_note = [](const std::string& text) { std::printf("%s\n", text.c_str()); };

@@ -111,7 +111,7 @@ std::string grid_text(const std::array<int, 3>& d) { return std::to_string(d[0])
 class Job {
   public:
     Job(const ReconstructOptions& options, Progress& progress)
-        : o_(options), progress_(progress), store_(options.output / "stages"), warnings_at_start_(progress.warnings().size()) {}
+        : o_(options), progress_(progress), store_(options.run.output / "stages"), warnings_at_start_(progress.warnings().size()) {}
 
     Reconstruction run() {
         try {
@@ -132,46 +132,46 @@ class Job {
             if (film) angles_of_film();
             return reused;
         });
-        if (!o_.dry_run && !film) open_output();
+        if (!o_.run.dry_run && !film) open_output();
         keep_views();
         // A mat is found in the photographs; masks then come from pictures whose lens is known.
-        const bool aligned_by_mat = o_.align.method == AlignMethod::Mat && o_.last_stage != LastStage::Mask;
+        const bool aligned_by_mat = o_.align.method == AlignMethod::Mat && o_.run.last_stage != LastStage::Mask;
         if (aligned_by_mat) stage("align", [&] { return align_views(); });
-        if (!aligned_by_mat || o_.last_stage != LastStage::Align) stage("mask", [&] { return masks(); });
-        if (o_.last_stage == LastStage::Mask) {
-            if (!o_.dry_run) place_overlays();
+        if (!aligned_by_mat || o_.run.last_stage != LastStage::Align) stage("mask", [&] { return masks(); });
+        if (o_.run.last_stage == LastStage::Mask) {
+            if (!o_.run.dry_run) place_overlays();
             return finish();
         }
-        if (!aligned_by_mat && (!views_.posed || o_.align_again)) stage("align", [&] { return align_views(); });
+        if (!aligned_by_mat && (!views_.posed || o_.cameras.find_again)) stage("align", [&] { return align_views(); });
         keep_views();
-        if (o_.floor_from != FloorFrom::File) stage("floor", [&] { return find_floor(); });
-        if (o_.last_stage == LastStage::Align) {
+        if (o_.floor.from != FloorFrom::File) stage("floor", [&] { return find_floor(); });
+        if (o_.run.last_stage == LastStage::Align) {
             place_alignment();
             return finish();
         }
-        if (o_.mask.repair && !o_.dry_run) stage("repair", [&] { return repair(); });
+        if (o_.mask.repair && !o_.run.dry_run) stage("repair", [&] { return repair(); });
         plan_key();
         const bool have_hull = hull_is_there();
         try {
             stage("distance", [&] {
-                if (have_hull && !o_.dry_run) return true;  // the hull made from them is there
+                if (have_hull && !o_.run.dry_run) return true;  // the hull made from them is there
                 distances();
                 return false;
             });
-            if (o_.dry_run) return finish();
+            if (o_.run.dry_run) return finish();
             stage("carve", [&] { return carve_hull(); });
         } catch (const ContradictionError& e) {
             throw ContradictionError(std::string(e.what()) + "; " + ask_check());
         }
-        if (o_.last_stage == LastStage::Carve) {
+        if (o_.run.last_stage == LastStage::Carve) {
             place_hull();
             return finish();
         }
         stage("level_set", [&] { return make_surface(); });
-        if (o_.use_stereo) stage("stereo", [&] { return carve_by_depth(); });
-        else if (o_.stereo != StereoOptions() || o_.stereo_maps)
+        if (o_.stereo.on) stage("stereo", [&] { return carve_by_depth(); });
+        else if (o_.stereo.options != StereoOptions() || o_.stereo.maps)
             progress_.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on");
-        if (o_.color.mode != ColorMode::None) stage("color", [&] { return make_color(); });
+        if (o_.color.options.mode != ColorMode::None) stage("color", [&] { return make_color(); });
         stage("filter", [&] { return filter_surface(); });
         stage("mesh", [&] { return make_mesh(); });
         stage("smooth", [&] { return smooth_mesh(); });
@@ -186,7 +186,7 @@ class Job {
 
     /// What a run ended with, for whoever looks into it later (bundle).
     void leave_failure(const Error& e) const {
-        if (o_.dry_run || !made_by_us(o_.output)) return;
+        if (o_.run.dry_run || !made_by_us(o_.run.output)) return;
         json failure = report_.is_object() ? report_ : json::object();
         failure["failure"] = {{"stage", stage_name_}, {"text", e.what()}, {"exit_code", static_cast<int>(e.code())}};
         failure["version"] = kVersion;
@@ -194,7 +194,7 @@ class Job {
         failure["scene"] = scene_json();  // for whoever reads it elsewhere
         try {
             write_file(failure_file(), failure.dump(1) + "\n");
-            if (!o_.config_text.empty()) write_file(store_.folder() / "failure.toml", o_.config_text);
+            if (!o_.run.config_text.empty()) write_file(store_.folder() / "failure.toml", o_.run.config_text);
         } catch (const Error&) {
             // The error itself is what matters.
         }
@@ -202,7 +202,7 @@ class Job {
 
     /// The cameras that a run goes on with: should it fail, they are nowhere else.
     void keep_views() const {
-        if (!o_.dry_run && views_.posed) write_file(store_.folder() / "cameras.json", cameras_json(views_));
+        if (!o_.run.dry_run && views_.posed) write_file(store_.folder() / "cameras.json", cameras_json(views_));
     }
 
     json scene_json() const {
@@ -226,9 +226,9 @@ class Job {
                    {"backend", name_of(stage_backend_)},
                    {"reused", reused}};
         report_["stages"].push_back(entry);
-        if (o_.on_stage) {
+        if (o_.run.on_stage) {
             entry["event"] = "stage";
-            o_.on_stage(entry.dump());
+            o_.run.on_stage(entry.dump());
         }
     }
 
@@ -250,15 +250,15 @@ class Job {
     }
 
     void check_options() {
-        backend_ = choose_backend(o_.backend, o_.device);
-        if (o_.backend == Backend::Auto && backend_ == Backend::Cpu && o_.device != 0)
-            progress_.warn("--device " + std::to_string(o_.device) + " means nothing here: " + why_no_cuda());
+        backend_ = choose_backend(o_.run.backend, o_.run.device);
+        if (o_.run.backend == Backend::Auto && backend_ == Backend::Cpu && o_.run.device != 0)
+            progress_.warn("--device " + std::to_string(o_.run.device) + " means nothing here: " + why_no_cuda());
         std::string bad;
         const auto need = [&](bool ok, const std::string& what) {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
         };
-        need(o_.floor_from != FloorFrom::Found || o_.align.method != AlignMethod::Mat, "--floor auto: the mat says where the floor is");
-        need(std::isfinite(o_.floor), "--floor is not finite");
+        need(o_.floor.from != FloorFrom::Found || o_.align.method != AlignMethod::Mat, "--floor auto: the mat says where the floor is");
+        need(std::isfinite(o_.floor.height), "--floor is not finite");
         need(is_video(o_.views.scene) || o_.video == VideoOptions(), "--video-frames and --video-range are of films; " + o_.views.scene.string() + " is none");
         need(o_.views.units.empty() || metres_per(o_.views.units), "--units " + o_.views.units + ": is none of m, cm, mm, km, inch, ft");
         const MaskOptions& m = o_.mask;
@@ -271,64 +271,67 @@ class Job {
         need(from_photographs || m.clean_up == MaskCleanUp(),
              "--mask-open, --mask-close, --mask-fill-holes and --mask-all-components are of masks made from photographs (--mask threshold, chroma, "
              "clean-plate, grabcut)");
-        need((o_.resolution > 0) + (o_.voxel_size > 0) + o_.grid.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
-        need(o_.resolution >= 0, "--resolution is " + std::to_string(o_.resolution) + ", must be > 0");
-        need(std::isfinite(o_.voxel_size) && o_.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.voxel_size) + ", must be > 0");
-        need(o_.max_misses >= 0 && o_.max_misses <= 15, "--max-misses is " + std::to_string(o_.max_misses) + ", must be 0..15");
-        need(std::isfinite(o_.distance.silhouette_offset_px), "--silhouette-offset is not finite");
-        need(o_.field_scale >= 0, "--field-scale is " + std::to_string(o_.field_scale) + ", must be >= 1, or auto");
-        need(o_.half_width_vox >= 2 && o_.half_width_vox <= 100, "the half-width is " + std::to_string(o_.half_width_vox) + " voxels, must be 2..100");
-        need(o_.min_seen >= 0 && o_.min_seen <= 1, "--min-seen is " + std::to_string(o_.min_seen) + ", must be 0..1");
-        need(!o_.normals || o_.mesher == Mesher::MarchingCubes, "--normals are made by --mesher marching-cubes only");
-        need(o_.mesher == Mesher::Dual || o_.adaptivity == 0, "--adaptivity is of --mesher dual; marching cubes has none");
-        need(o_.adaptivity >= 0 && o_.adaptivity <= 1, "--adaptivity is " + std::to_string(o_.adaptivity) + ", must be 0..1");
-        if (o_.grid)
-            for (int d : *o_.grid) need(d > 0, "--grid has a side of " + std::to_string(d) + " voxels");
-        if (o_.bounds) {
-            const Vec3d size = o_.bounds->max() - o_.bounds->min();
+        need((o_.grid.resolution > 0) + (o_.grid.voxel_size > 0) + o_.grid.dims.has_value() <= 1, "give one of --resolution, --voxel-size and --grid");
+        need(o_.grid.resolution >= 0, "--resolution is " + std::to_string(o_.grid.resolution) + ", must be > 0");
+        need(std::isfinite(o_.grid.voxel_size) && o_.grid.voxel_size >= 0, "--voxel-size is " + std::to_string(o_.grid.voxel_size) + ", must be > 0");
+        need(o_.carve.max_misses >= 0 && o_.carve.max_misses <= 15, "--max-misses is " + std::to_string(o_.carve.max_misses) + ", must be 0..15");
+        need(std::isfinite(o_.carve.silhouette_offset_px), "--silhouette-offset is not finite");
+        need(o_.carve.field_scale >= 0, "--field-scale is " + std::to_string(o_.carve.field_scale) + ", must be >= 1, or auto");
+        need(o_.carve.half_width_vox >= 2 && o_.carve.half_width_vox <= 100,
+             "the half-width is " + std::to_string(o_.carve.half_width_vox) + " voxels, must be 2..100");
+        need(o_.carve.min_seen >= 0 && o_.carve.min_seen <= 1, "--min-seen is " + std::to_string(o_.carve.min_seen) + ", must be 0..1");
+        need(!o_.mesh.normals || o_.mesh.mesher == Mesher::MarchingCubes, "--normals are made by --mesher marching-cubes only");
+        need(o_.mesh.mesher == Mesher::Dual || o_.mesh.adaptivity == 0, "--adaptivity is of --mesher dual; marching cubes has none");
+        need(o_.mesh.adaptivity >= 0 && o_.mesh.adaptivity <= 1, "--adaptivity is " + std::to_string(o_.mesh.adaptivity) + ", must be 0..1");
+        if (o_.grid.dims)
+            for (int d : *o_.grid.dims) need(d > 0, "--grid has a side of " + std::to_string(d) + " voxels");
+        if (o_.grid.bounds) {
+            const Vec3d size = o_.grid.bounds->max() - o_.grid.bounds->min();
             need(size.allFinite() && size.minCoeff() > 0, "--bounds has no volume: every maximum must exceed its minimum");
         }
-        need(o_.color.depth_vox >= 1 && o_.color.depth_vox <= 1000, "--color-depth is " + std::to_string(o_.color.depth_vox) + " layers, must be 1..1000");
-        need(o_.color.normal_radius_vox >= 0 && o_.color.normal_radius_vox <= kMaxNormalRadius_vox,
-             "--color-normal-radius is " + std::to_string(o_.color.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
-        need(!o_.use_stereo || !o_.occupancy, "--stereo on carves a level set, and --occupancy makes none");
-        need(!o_.color.skip_upright || o_.color.mode == ColorMode::Best, "--paper is of --color best");
-        need(o_.color_leave_out == 0 || o_.color_leave_out >= 2,
-             "--color-leave-out is " + std::to_string(o_.color_leave_out) + ", must be 0 (none) or at least 2 (every second)");
-        need(!o_.quads || o_.mesher == Mesher::Dual, "--quads are made by --mesher dual only");
-        need(o_.min_piece_share >= 0 && o_.min_piece_share <= 1, "--min-piece is " + std::to_string(o_.min_piece_share) + ", must be 0..1");
-        need(o_.keep_thin_vox >= 0, "--keep-thin is " + std::to_string(o_.keep_thin_vox) + ", must be >= 0");
-        need(std::isfinite(o_.max_error) && o_.max_error >= 0, "--max-error is " + std::to_string(o_.max_error) + ", must be > 0");
-        need(std::isfinite(o_.cap_tolerance) && o_.cap_tolerance >= 0, "--cap-tolerance is " + std::to_string(o_.cap_tolerance) + ", must be >= 0");
-        need(!o_.smooth_iterations || (*o_.smooth_iterations >= 0 && *o_.smooth_iterations <= 10000), "--smooth must be 0..10000 iterations");
-        need(o_.smooth.lambda > 0 && o_.smooth.lambda < 1 && o_.smooth.mu < -o_.smooth.lambda && o_.smooth.mu > -2,
+        need(o_.color.options.depth_vox >= 1 && o_.color.options.depth_vox <= 1000,
+             "--color-depth is " + std::to_string(o_.color.options.depth_vox) + " layers, must be 1..1000");
+        need(o_.color.options.normal_radius_vox >= 0 && o_.color.options.normal_radius_vox <= kMaxNormalRadius_vox,
+             "--color-normal-radius is " + std::to_string(o_.color.options.normal_radius_vox) + ", must be 0.." + std::to_string(kMaxNormalRadius_vox));
+        need(!o_.stereo.on || !o_.carve.occupancy, "--stereo on carves a level set, and --occupancy makes none");
+        need(!o_.color.options.skip_upright || o_.color.options.mode == ColorMode::Best, "--paper is of --color best");
+        need(o_.color.leave_out == 0 || o_.color.leave_out >= 2,
+             "--color-leave-out is " + std::to_string(o_.color.leave_out) + ", must be 0 (none) or at least 2 (every second)");
+        need(!o_.mesh.quads || o_.mesh.mesher == Mesher::Dual, "--quads are made by --mesher dual only");
+        need(o_.mesh.min_piece_share >= 0 && o_.mesh.min_piece_share <= 1, "--min-piece is " + std::to_string(o_.mesh.min_piece_share) + ", must be 0..1");
+        need(o_.filter.keep_thin_vox >= 0, "--keep-thin is " + std::to_string(o_.filter.keep_thin_vox) + ", must be >= 0");
+        need(std::isfinite(o_.smooth.max_error) && o_.smooth.max_error >= 0, "--max-error is " + std::to_string(o_.smooth.max_error) + ", must be > 0");
+        need(std::isfinite(o_.floor.cap_tolerance) && o_.floor.cap_tolerance >= 0,
+             "--cap-tolerance is " + std::to_string(o_.floor.cap_tolerance) + ", must be >= 0");
+        need(!o_.smooth.iterations || (*o_.smooth.iterations >= 0 && *o_.smooth.iterations <= 10000), "--smooth must be 0..10000 iterations");
+        need(o_.smooth.factors.lambda > 0 && o_.smooth.factors.lambda < 1 && o_.smooth.factors.mu < -o_.smooth.factors.lambda && o_.smooth.factors.mu > -2,
              "--smooth-lambda must be within 0..1 and --smooth-mu less than its negative");
-        for (const std::string& f : o_.mesh_formats)
+        for (const std::string& f : o_.result.mesh_formats)
             need(f == "ply" || f == "obj" || f == "stl" || f == "glb", "--mesh-formats: '" + f + "' is none of ply, obj, stl, glb");
         if (!bad.empty()) throw UsageError(bad);
     }
 
     void open_output() {
-        if (fs::exists(o_.output) && !fs::is_directory(o_.output)) throw OutputError(o_.output.string() + ": is a file, a folder is needed");
-        if (fs::is_directory(o_.output) && !fs::is_empty(o_.output) && !made_by_us(o_.output) && !o_.force)
-            throw OutputError(o_.output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
-        make_folder(o_.output / "stages");
+        if (fs::exists(o_.run.output) && !fs::is_directory(o_.run.output)) throw OutputError(o_.run.output.string() + ": is a file, a folder is needed");
+        if (fs::is_directory(o_.run.output) && !fs::is_empty(o_.run.output) && !made_by_us(o_.run.output) && !o_.run.force)
+            throw OutputError(o_.run.output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
+        make_folder(o_.run.output / "stages");
         // Of runs that were killed.
-        for (const char* folder : {"", "stages", "masks", "depth", "overlays", kUnverified}) remove_left_overs(o_.output / folder);
+        for (const char* folder : {"", "stages", "masks", "depth", "overlays", kUnverified}) remove_left_overs(o_.run.output / folder);
         for (const char* part : {".frames.part", ".masks.part", ".repaired.part"}) fs::remove_all(store_.folder() / part);
         fs::remove(store_.folder() / "cameras.json");
         mark_as_ours();
         // A finished result keeps its configuration until the new one is finished too.
-        if (!fs::exists(o_.output / "report.json")) write_config();
+        if (!fs::exists(o_.run.output / "report.json")) write_config();
     }
-    void mark_as_ours() const { write_file(o_.output / kMarker, json{{"made_by", "vdbcarve"}, {"scene", scene_json()}}.dump() + "\n"); }
+    void mark_as_ours() const { write_file(o_.run.output / kMarker, json{{"made_by", "vdbcarve"}, {"scene", scene_json()}}.dump() + "\n"); }
     void write_config() {
-        if (!o_.config_text.empty()) write_file(place_ / "config.toml", config());
+        if (!o_.run.config_text.empty()) write_file(place_ / "config.toml", config());
     }
     /// As given; where a grid was kept, with that instead of what led to it.
     std::string config() const {
-        if (!kept_) return o_.config_text;
-        std::istringstream lines(o_.config_text);
+        if (!kept_) return o_.run.config_text;
+        std::istringstream lines(o_.run.config_text);
         std::string out, command;
         for (std::string line; std::getline(lines, line);) {
             const size_t dot = line.find('.'), equals = line.find('=');
@@ -348,11 +351,11 @@ class Job {
     /// The scene is a film: its frames, in stages/, are the scene from here on.
     bool film_to_photographs() {
         const fs::path file = o_.views.scene;
-        if (o_.dry_run)
+        if (o_.run.dry_run)
             throw UsageError("--dry-run: " + file.string() +
                              " is a film, of which frames are to be taken first. Remedy: vdbcarve mask, then its folder in OUT/stages as the scene");
         if (!o_.views.images.empty()) throw UsageError("--images: " + file.string() + " is a film, its frames are the photographs. Remedy: without it");
-        const bool fresh = !made_by_us(o_.output);
+        const bool fresh = !made_by_us(o_.run.output);
         open_output();
         Sha256 h;
         h.add("frames").add_value(kCodeVersion).add(sha256_of_file(file)).add_value(o_.video.frames).add_value(o_.video.from_s).add_value(o_.video.to_s);
@@ -363,16 +366,16 @@ class Job {
             for (const VideoFrame& f : film_.frames) reused = reused && fs::exists(folder / f.name);
         }
         if (!reused) {
-            const fs::path part = o_.output / "stages" / ".frames.part";
+            const fs::path part = o_.run.output / "stages" / ".frames.part";
             try {
                 film_ = extract_frames(file, part, o_.video, progress_);
             } catch (const InputError&) {  // nothing was made: what was opened for it goes
                 fs::remove_all(part);
                 if (fresh) {
-                    fs::remove(o_.output / "config.toml");
-                    fs::remove_all(o_.output / "stages");
+                    fs::remove(o_.run.output / "config.toml");
+                    fs::remove_all(o_.run.output / "stages");
                     std::error_code others_are_in_it;
-                    fs::remove(o_.output, others_are_in_it);
+                    fs::remove(o_.run.output, others_are_in_it);
                 }
                 throw;
             }
@@ -417,21 +420,21 @@ class Job {
                            o_.views.units + ", none is converted");
         if (!o_.views.units.empty()) views_.units = o_.views.units;
         std::error_code not_there;
-        if (!o_.dry_run && fs::equivalent(views_.camera_file.parent_path(), o_.output / kUnverified, not_there))
+        if (!o_.run.dry_run && fs::equivalent(views_.camera_file.parent_path(), o_.run.output / kUnverified, not_there))
             throw UsageError("--cameras " + views_.camera_file.string() + ": this run would write it anew, or take it away. Remedy: another -o");
-        if (finds_cameras() && o_.dry_run)
+        if (finds_cameras() && o_.run.dry_run)
             throw UsageError(
                 "--dry-run: cameras are to be found first, and what is to be carved is known then. Remedy: vdbcarve align, then --cameras OUT/cameras.json");
         // Without sittings of the camera file's: they are found anew, or refined with everything else in the scene's frame.
-        if (o_.align_again && views_.sittings.size() > 1)
+        if (o_.cameras.find_again && views_.sittings.size() > 1)
             throw UsageError("align: the camera file's sittings would be lost. Remedy: --cameras none --sittings N,N");
         const bool mat = o_.align.method == AlignMethod::Mat;  // which says both
-        if (views_.posed && !o_.align_again) {
+        if (views_.posed && !o_.cameras.find_again) {
             if (const std::vector<std::string> given = given_options(o_.align); !given.empty())
                 throw UsageError(some_of(given) + ": the cameras of " + views_.camera_file.string() +
                                  " are used as they are, so this would be ignored. Remedy: --method refine to improve them, --cameras none to find others, or "
                                  "without it, also in config.toml");
-        } else if (o_.last_stage != LastStage::Mask) {
+        } else if (o_.run.last_stage != LastStage::Mask) {
             check_align_options(o_.align, views_, views_.views.size());
             const bool by_silhouettes = o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper,
                        scaled = o_.align.known_distance > 0 || o_.align.known_height > 0 || o_.align.known_length;
@@ -445,18 +448,18 @@ class Job {
             throw UsageError(
                 "--up " + o_.views.up +
                 ": cameras that are found have z up, along the axis (or out of the mat). Remedy: without it; --dcc turns results into another program's axes");
-        if (!finds_cameras() && o_.last_stage != LastStage::Mask && !views_.unverified.empty())
+        if (!finds_cameras() && o_.run.last_stage != LastStage::Mask && !views_.unverified.empty())
             doubt(views_.unverified, views_.camera_file.string() + ": its cameras were found, but are UNVERIFIED");
-        if (views_.posed && o_.align_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
+        if (views_.posed && o_.cameras.find_again && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper))
             progress_.note("of " + views_.camera_file.string() +
                            " focal lengths, principal points and lenses are taken, its poses are not looked at (--method refine starts from them)");
-        if (o_.floor_from != FloorFrom::File && o_.last_stage != LastStage::Mask && up().empty() && !finds_cameras())
+        if (o_.floor.from != FloorFrom::File && o_.run.last_stage != LastStage::Mask && up().empty() && !finds_cameras())
             throw UsageError("--floor: the scene does not say which way is up. Remedy: --up");
-        if (o_.floor_from == FloorFrom::Found && o_.dry_run) throw UsageError("--dry-run: the floor is to be found first. Remedy: --floor HEIGHT");
-        if (views_.posed && !finds_cameras() && o_.last_stage != LastStage::Mask)
+        if (o_.floor.from == FloorFrom::Found && o_.run.dry_run) throw UsageError("--dry-run: the floor is to be found first. Remedy: --floor HEIGHT");
+        if (views_.posed && !finds_cameras() && o_.run.last_stage != LastStage::Mask)
             if (const std::string doubted = doubt_of_up(views_.cameras(), up()); !doubted.empty()) progress_.warn(doubted);
-        if (o_.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
-        if (o_.stl_mm && !mat) file_frame(".stl", frame_request());  // refuses where the unit is not known
+        if (o_.floor.flat_base && up().empty() && !mat) throw UsageError("--base flat: the scene does not say which way is up. Remedy: --up");
+        if (o_.result.stl_mm && !mat) file_frame(".stl", frame_request());  // refuses where the unit is not known
         progress_.note(counted(views_.views.size(), "view") + " from " + views_.camera_file.string() + " (" + views_.format + ")");
     }
 
@@ -465,7 +468,7 @@ class Job {
     bool masks() {
         const size_t n = views_.views.size();
         mask_names_ = mask_names(views_);
-        const fs::path folder = o_.output / "masks";
+        const fs::path folder = o_.run.output / "masks";
         const json written = parse_or_empty(folder / kWritten);
         std::vector<fs::path>& edited = edited_;
         edited.assign(n, {});
@@ -528,7 +531,7 @@ class Job {
         };
         const fs::path stored = store_.path("masks", mask_key_, "");
         const auto note_found = stage_note(stored / "masks.json", {"origins", "left_out", "warnings", "files"});
-        bool reused = !o_.dry_run && note_found;
+        bool reused = !o_.run.dry_run && note_found;
         if (reused)
             for (const json& f : (*note_found)["files"]) reused = reused && fs::exists(stored / f.get<std::string>());
         if (reused) {
@@ -545,13 +548,14 @@ class Job {
         } else {
             const size_t warnings_before = progress_.warnings().size();
             MaskOptions cached = o_.mask;
-            if (!o_.dry_run) cached.cache = o_.output / "stages" / "mask_command";
+            if (!o_.run.dry_run) cached.cache = o_.run.output / "stages" / "mask_command";
             const MaskOptions settled = settle(views_, cached, edited, progress_);
             std::vector<std::string> keys(n);
             for (size_t i = 0; i < n; ++i) keys[i] = key_of_view(i, settled);
-            masks_ = make_masks(views_, o_.views.scene, settled, edited, progress_, o_.dry_run ? std::vector<std::optional<KnownMask>>() : known_masks(keys));
-            if (!o_.dry_run) {
-                const fs::path part = o_.output / "stages" / ".masks.part";
+            masks_ =
+                make_masks(views_, o_.views.scene, settled, edited, progress_, o_.run.dry_run ? std::vector<std::optional<KnownMask>>() : known_masks(keys));
+            if (!o_.run.dry_run) {
+                const fs::path part = o_.run.output / "stages" / ".masks.part";
                 fs::remove_all(part);
                 make_folder(part);
                 std::vector<std::vector<uint8_t>> encoded(n);
@@ -577,7 +581,7 @@ class Job {
                 fs::rename(part, stored);
             }
         }
-        if (!o_.dry_run) place_masks(stored);
+        if (!o_.run.dry_run) place_masks(stored);
         choose_used();
         return reused;
     }
@@ -631,7 +635,7 @@ class Job {
     /// Views with a mask, but for those that cameras.json or align() says not to use.
     void choose_used() {
         const std::set<size_t> without(masks_.left_out.begin(), masks_.left_out.end());
-        const bool all = o_.last_stage == LastStage::Mask || (finds_cameras() && !aligned_);  // every silhouette is made, and asked for cameras
+        const bool all = o_.run.last_stage == LastStage::Mask || (finds_cameras() && !aligned_);  // every silhouette is made, and asked for cameras
         used_.clear();
         std::vector<std::string> unused;
         for (size_t i = 0; i < views_.views.size(); ++i) {
@@ -690,7 +694,7 @@ class Job {
                 progress_.warn(edited_[i].string() +
                                ": is against all others, but was edited by hand and is left as it is. Remedy: delete it to have it made anew");
         std::erase_if(broken, [&](size_t i) { return !edited_[i].empty(); });  // the user's word
-        const fs::path part = o_.output / "stages" / ".repaired.part";
+        const fs::path part = o_.run.output / "stages" / ".repaired.part";
         fs::remove_all(part);
         make_folder(part);
         if (!broken.empty()) {
@@ -700,7 +704,7 @@ class Job {
             const std::vector<std::string> done = repair_masks(
                 views_.names(), views_.cameras(), masks, broken, [&](size_t i) { return photo_to_show(views_.views[i]); }, quiet);
             progress_.warn(counted(broken.size(), "mask") + " against all others, mended: " + some_of(done) + ". Remedy: look at " +
-                           (o_.output / "masks").string());
+                           (o_.run.output / "masks").string());
             for (const size_t i : broken) {
                 masks_.masks[i] = std::move(masks[i]);
                 masks_.origins[i] += " (repaired)";
@@ -722,13 +726,14 @@ class Job {
     void doubt(const std::vector<std::string>& why, const std::string& what) {
         std::string list;
         for (const std::string& w : why) list += "\n  - " + w;
-        if (!o_.accept_unobservable) throw UndeterminedError(what + ". Remedy: as each finding says, or --accept-unobservable to go on with them" + list);
+        if (!o_.cameras.accept_unobservable)
+            throw UndeterminedError(what + ". Remedy: as each finding says, or --accept-unobservable to go on with them" + list);
         progress_.warn(what + ", and used all the same (--accept-unobservable)" + list);
     }
 
     /// What an earlier run that was refused left.
     void clear_unverified() {
-        const fs::path folder = o_.output / kUnverified;
+        const fs::path folder = o_.run.output / kUnverified;
         for (const char* file : {"cameras.json", "report.json", "config.toml", "orbit.svg", "preview.png", "preview_direction_cw.png",
                                  "preview_direction_ccw.png", "mat.png", "energy_map.png"})
             fs::remove(folder / file);
@@ -737,11 +742,11 @@ class Job {
     }
 
     /// Cameras are to be found in this run, or are being found.
-    bool finds_cameras() const { return o_.last_stage != LastStage::Mask && (!views_.posed || o_.align_again); }
+    bool finds_cameras() const { return o_.run.last_stage != LastStage::Mask && (!views_.posed || o_.cameras.find_again); }
 
     /// Copies of the masks for the user to look at and to edit. An edited one is left alone.
     void place_masks(const fs::path& stored) {
-        const fs::path folder = o_.output / "masks";
+        const fs::path folder = o_.run.output / "masks";
         json written = parse_or_empty(folder / kWritten);
         make_folder(folder);
         std::vector<std::pair<fs::path, fs::path>> copies;
@@ -761,18 +766,18 @@ class Job {
 
     // --------------------------------------------------------------------------------------- floor
 
-    using FloorFrom = ReconstructOptions::FloorFrom;
+    using FloorFrom = FloorOptions::From;
 
     /// Where the object stands, into views_.floor.
     bool find_floor() {
         if (up().empty()) throw UsageError("--floor: which way is up? Remedy: --up");
-        if (o_.floor_from == FloorFrom::Given) {
-            views_.floor = o_.floor;
-            report_["floor"] = {{"height", o_.floor}, {"from", "given"}};
+        if (o_.floor.from == FloorFrom::Given) {
+            views_.floor = o_.floor.height;
+            report_["floor"] = {{"height", o_.floor.height}, {"from", "given"}};
             return false;
         }
         Sha256 h;
-        h.add("floor").add_value(kCodeVersion).add(mask_key_).add(up()).add_value(o_.min_seen);
+        h.add("floor").add_value(kCodeVersion).add(mask_key_).add(up()).add_value(o_.carve.min_seen);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         for (const size_t i : used_) h.add_value(i);
         const fs::path file = store_.path("floor", h.hex(), ".json");
@@ -784,7 +789,7 @@ class Job {
             const size_t before = progress_.warnings().size();
             const std::vector<MaskView> masks = used_mask_views();
             const std::vector<Camera> cameras = views_.cameras();
-            const auto hull = coarse_hull(views_.names(), cameras, masks, 192, o_.min_seen, progress_);
+            const auto hull = coarse_hull(views_.names(), cameras, masks, 192, o_.carve.min_seen, progress_);
             const std::optional<Floor> table = find_table(
                 *hull, cameras, masks, [&](size_t i) { return photo_to_show(views_.views[i]); }, up_direction(), progress_);
             json found;
@@ -914,9 +919,9 @@ class Job {
         say_alignment();
         if (views_.unverified.empty()) return reused;
         std::string shown;
-        if (!o_.accept_unobservable) {  // beside what an earlier run made, which stays
+        if (!o_.cameras.accept_unobservable) {  // beside what an earlier run made, which stays
             clear_unverified();
-            place_ = o_.output / kUnverified;
+            place_ = o_.run.output / kUnverified;
             make_folder(place_);
             place_alignment(fs::exists(other_file) ? other_file : fs::path());
             finish();
@@ -929,7 +934,7 @@ class Job {
     /// What silhouettes alone leave open, a few tenths of a pixel, is what depths would be wrong by. (A mat's cameras are better than silhouettes can make
     /// them.)
     bool refines_for_stereo() const {
-        return o_.use_stereo && o_.align.features && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper);
+        return o_.stereo.on && o_.align.features && (o_.align.method == AlignMethod::Coherence || o_.align.method == AlignMethod::Paper);
     }
 
     /// Fits tracks of the photographs' features, too. Without texture nothing changes.
@@ -1030,7 +1035,7 @@ class Job {
         const auto sheet = [&](const Views& views, const fs::path& file) {
             fs::remove(file);  // an earlier run's
             try {
-                mesh_ = extract_mesh(*coarse_hull(names, views.cameras(), masks, 192, o_.min_seen, progress_), {}, progress_);
+                mesh_ = extract_mesh(*coarse_hull(names, views.cameras(), masks, 192, o_.carve.min_seen, progress_), {}, progress_);
             } catch (const Interrupted&) {
                 throw;
             } catch (const Error& e) {  // there may be no hull, of cameras that are wrong
@@ -1072,8 +1077,8 @@ class Job {
     /// Nothing where nothing is added, where there is no result, and where its cameras were others: then its bounds mean nothing here.
     std::optional<KeptGrid> grid_to_keep() {
         if (o_.views.added.empty() || finds_cameras()) return std::nullopt;
-        if (!fs::exists(o_.output / "report.json")) return std::nullopt;  // nothing is there yet
-        const json report = parse_or_empty(o_.output / "report.json");
+        if (!fs::exists(o_.run.output / "report.json")) return std::nullopt;  // nothing is there yet
+        const json report = parse_or_empty(o_.run.output / "report.json");
         std::map<std::string, Camera> before;
         KeptGrid kept{};
         try {
@@ -1085,9 +1090,9 @@ class Job {
             kept.origin = Vec3d(o[0], o[1], o[2]);
             kept.automatic = g.value("bounds_automatic", true);
             kept.floor_clips = g.value("floor_clips", false);
-            for (const io::ImportedView& v : io::read_transforms(o_.output / "cameras.json").views) before.emplace(v.view.name, v.view.camera);
+            for (const io::ImportedView& v : io::read_transforms(o_.run.output / "cameras.json").views) before.emplace(v.view.name, v.view.camera);
         } catch (const std::exception& e) {  // of nlohmann::json or an InputError
-            progress_.warn("the bounds are found anew: " + (o_.output / "report.json").string() + " does not say which they were (" + e.what() +
+            progress_.warn("the bounds are found anew: " + (o_.run.output / "report.json").string() + " does not say which they were (" + e.what() +
                            "). It is of mask, align, or an older vdbcarve");
             return std::nullopt;
         }
@@ -1112,14 +1117,14 @@ class Job {
             if (!same.count(name)) gone.push_back(name);
         if (moved.empty() && !same.empty()) {
             if (const std::vector<std::string> scenes = scenes_left_away(report); !gone.empty() && !scenes.empty())
-                throw UsageError("--add: " + o_.output.string() + " was made of " + some_of(scenes) + ", too, whose views (" + some_of(gone) +
+                throw UsageError("--add: " + o_.run.output.string() + " was made of " + some_of(scenes) + ", too, whose views (" + some_of(gone) +
                                  ") it would lose. Remedy: --add " + scenes.front() + " besides, or another -o");
             if (!gone.empty())
-                progress_.warn("the result in " + o_.output.string() + " was made of " + counted(gone.size(), "view") + " more, which " +
+                progress_.warn("the result in " + o_.run.output.string() + " was made of " + counted(gone.size(), "view") + " more, which " +
                                (gone.size() == 1 ? "is" : "are") + " not here any more: " + some_of(gone));
             return kept;
         }
-        progress_.warn("the result in " + o_.output.string() + " is replaced, not extended, and its bounds are found anew: its cameras are others" +
+        progress_.warn("the result in " + o_.run.output.string() + " is replaced, not extended, and its bounds are found anew: its cameras are others" +
                        (moved.empty() ? "" : " (" + some_of(moved) + ")"));
         return std::nullopt;
     }
@@ -1145,18 +1150,18 @@ class Job {
             .add(views_.up)
             .add_value(views_.floor.has_value())
             .add_value(views_.floor.value_or(0))
-            .add_value(o_.distance.silhouette_offset_px);
+            .add_value(o_.carve.silhouette_offset_px);
         for (const Camera& c : views_.cameras()) add_camera(h, c);
         for (const size_t i : used_) h.add_value(i);
-        h.add_value(o_.resolution).add_value(o_.voxel_size).add_value(o_.max_misses).add_value(o_.min_seen);
-        h.add_value(o_.outside_is_background).add_value(o_.occupancy).add_value(o_.half_width_vox).add_value(o_.field_scale);
-        if (o_.grid)
-            for (int d : *o_.grid) h.add_value(d);
-        h.add_value(o_.bounds.has_value()).add_value(o_.origin.has_value());
-        if (o_.bounds)
-            for (int a = 0; a < 3; ++a) h.add_value(o_.bounds->min()[a]).add_value(o_.bounds->max()[a]);
-        if (o_.origin)
-            for (int a = 0; a < 3; ++a) h.add_value((*o_.origin)[a]);
+        h.add_value(o_.grid.resolution).add_value(o_.grid.voxel_size).add_value(o_.carve.max_misses).add_value(o_.carve.min_seen);
+        h.add_value(o_.carve.outside_is_background).add_value(o_.carve.occupancy).add_value(o_.carve.half_width_vox).add_value(o_.carve.field_scale);
+        if (o_.grid.dims)
+            for (int d : *o_.grid.dims) h.add_value(d);
+        h.add_value(o_.grid.bounds.has_value()).add_value(o_.grid.origin.has_value());
+        if (o_.grid.bounds)
+            for (int a = 0; a < 3; ++a) h.add_value(o_.grid.bounds->min()[a]).add_value(o_.grid.bounds->max()[a]);
+        if (o_.grid.origin)
+            for (int a = 0; a < 3; ++a) h.add_value((*o_.grid.origin)[a]);
         if (kept_)
             for (int a = 0; a < 3; ++a)
                 h.add_value(kept_->bounds.min()[a]).add_value(kept_->bounds.max()[a]).add_value(kept_->origin[a]).add_value(kept_->voxel_size);
@@ -1168,7 +1173,7 @@ class Job {
         const auto note = stage_note(hull_json(), {"grid", "warnings", "backend", "id"});
         if (!note) return false;
         if (fs::exists(hull_file())) return true;
-        if (o_.last_stage != LastStage::Carve || !(*note)["grid"].contains("bricks")) return false;
+        if (o_.run.last_stage != LastStage::Carve || !(*note)["grid"].contains("bricks")) return false;
         for (const json& name : (*note)["grid"]["bricks"])
             if (!fs::exists(brick_folder() / name.get<std::string>())) return false;
         return true;
@@ -1183,9 +1188,9 @@ class Job {
             used_masks_.push_back(view_of(masks_.masks[i]));
         }
         warnings_before_grid_ = progress_.warnings().size();  // the hull's note keeps those from here on
-        if (!o_.mask.repair && !o_.dry_run) warn_of_broken_masks();
+        if (!o_.mask.repair && !o_.run.dry_run) warn_of_broken_masks();
         plan_grid();
-        if (o_.dry_run) return;
+        if (o_.run.dry_run) return;
         find_known();
         if (known_whole()) return;
         if (backend_ == Backend::Cuda && on_device("distance", [&] {
@@ -1274,12 +1279,12 @@ class Job {
     template <class Work>
     bool on_device(const char* stage, const Work& work) {
         try {
-            if (!device_) device_.emplace(o_.device);
+            if (!device_) device_.emplace(o_.run.device);
             work();
             stage_backend_ = Backend::Cuda;
             return true;
         } catch (const BackendError& e) {
-            if (o_.backend == Backend::Cuda) throw;
+            if (o_.run.backend == Backend::Cuda) throw;
             progress_.note(std::string(stage) + ": " + e.what() + "; going on on the CPU, with the same result");
             device_.reset();
             backend_ = Backend::Cpu;
@@ -1291,7 +1296,7 @@ class Job {
 
     // --------------------------------------------------------------------------------------- memory
 
-    double memory_limit() const { return o_.memory_limit ? static_cast<double>(o_.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes()); }
+    double memory_limit() const { return o_.run.memory_limit ? static_cast<double>(o_.run.memory_limit) : 0.9 * static_cast<double>(machine_memory_bytes()); }
 
     /// Leaves of the hull at the planned resolution: those of two coarse hulls, continued. The surface's leaves grow with the
     /// square of the resolution, with a linear part from its creases and ends.
@@ -1305,7 +1310,8 @@ class Job {
             std::vector<Camera> cameras;
             for (const CarveInput& input : inputs_) cameras.push_back(input.camera);
             const FieldPlan plan = plan_fields(cameras, o);
-            DistanceOptions d = o_.distance;
+            DistanceOptions d;
+            d.silhouette_offset_px = o_.carve.silhouette_offset_px;
             d.scale = plan.scale;
             d.reach_samples = plan.reach_samples;
             Progress quiet;
@@ -1341,7 +1347,7 @@ class Job {
         batch_ = inputs_.size();
         bricks_ = 1;
         // A small job on a whole machine needs no prophecy.
-        if (!o_.dry_run && !o_.memory_limit && longest <= 1100) return;
+        if (!o_.run.dry_run && !o_.run.memory_limit && longest <= 1100) return;
         const double leaves = predict_leaves();
         release_memory();
         const double resident = static_cast<double>(resident_memory_bytes());
@@ -1354,18 +1360,18 @@ class Job {
         }
         // While a field is made it takes 16 bytes a sample besides its two, on every thread.
         fields += 8 * largest * static_cast<double>(tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism));
-        const double hull = leaves * (o_.occupancy ? 200 : kHullPerLeaf);
+        const double hull = leaves * (o_.carve.occupancy ? 200 : kHullPerLeaf);
         const double carve_peak = resident + kCarveBase + fields + hull;
-        const bool colored = o_.color.mode != ColorMode::None;
+        const bool colored = o_.color.options.mode != ColorMode::None;
         const double color_grid = colored ? kColorGridPerLeaf : 0;
         // The mesher can go in slabs.
-        const double mesher = o_.mesher == Mesher::Dual && o_.adaptivity == 0 ? kMesherBytesPerLeaf / kMostSlabs : kMesherBytesPerLeaf;
-        const double glb = std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), "glb") != o_.mesh_formats.end() ? kGlbPerLeaf : 0;
+        const double mesher = o_.mesh.mesher == Mesher::Dual && o_.mesh.adaptivity == 0 ? kMesherBytesPerLeaf / kMostSlabs : kMesherBytesPerLeaf;
+        const double glb = std::find(o_.result.mesh_formats.begin(), o_.result.mesh_formats.end(), "glb") != o_.result.mesh_formats.end() ? kGlbPerLeaf : 0;
         const double later_peak =
             std::max({resident + leaves * kLevelSetPerLeaf, colored ? resident + leaves * kColorPerLeaf : 0.0,
                       resident + leaves * (kFilterPerLeaf + color_grid), resident + kMeshBase + leaves * (kMeshBytesPerLeaf + mesher + color_grid),
                       resident + kExportBase + leaves * (kExportPerLeaf + glb + 1.5 * color_grid)});
-        const double peak = o_.last_stage == LastStage::Export ? std::max(carve_peak, later_peak) : carve_peak;
+        const double peak = o_.run.last_stage == LastStage::Export ? std::max(carve_peak, later_peak) : carve_peak;
         json& g = report_["grid"];
         g["expected_leaves"] = std::llround(leaves);
         g["expected_bytes"] = std::llround(leaves * kTreePerLeaf);
@@ -1374,16 +1380,16 @@ class Job {
         g["memory_limit_bytes"] = std::llround(limit);
         const auto gb = [](double bytes) { return std::to_string(bytes / 1e9).substr(0, 5) + " GB"; };
         progress_.note("expected: " + std::to_string(std::llround(leaves)) + " leaves, " + gb(leaves * kTreePerLeaf) + " of volume, peak memory " + gb(peak));
-        if (o_.last_stage == LastStage::Export && later_peak > limit) {
+        if (o_.run.last_stage == LastStage::Export && later_peak > limit) {
             const double fits = longest * std::sqrt(std::max(0.0, (limit - resident - kExportBase) / (later_peak - resident)));
             throw UsageError("this resolution needs about " + gb(later_peak) + " of memory, the limit is " + gb(limit) + " (--memory-limit). Remedy: " +
                              (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) +
                              "`carve` alone goes further, in bricks");
         }
         field_bytes_ = fields;
-        hull_bytes_ = o_.occupancy ? 0 : hull;
+        hull_bytes_ = o_.carve.occupancy ? 0 : hull;
         memory_limit_bytes_ = limit;
-        if (backend_ == Backend::Cuda && !o_.occupancy && !fits_device(leaves)) return;
+        if (backend_ == Backend::Cuda && !o_.carve.occupancy && !fits_device(leaves)) return;
         share_out_memory();
     }
 
@@ -1396,20 +1402,21 @@ class Job {
         double samples = 0;
         for (const MaskView& m : used_masks_) samples += 0.5 * static_cast<double>(planned_field_bytes(m, field_options_));
         const double base = masks + 14 * samples;
-        const double per_leaf = kDeviceHullPerLeaf +
-                                (o_.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf + (o_.color.mode != ColorMode::None ? kDeviceColorPerLeaf : 0) +
-                                                                          (o_.filters && o_.filters->empty() ? 0 : kDeviceFilterPerLeaf)
-                                                                    : 0) +
-                                (o_.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
+        const double per_leaf =
+            kDeviceHullPerLeaf +
+            (o_.run.last_stage == LastStage::Export ? kDeviceSurfacePerLeaf + (o_.color.options.mode != ColorMode::None ? kDeviceColorPerLeaf : 0) +
+                                                          (o_.filter.steps && o_.filter.steps->empty() ? 0 : kDeviceFilterPerLeaf)
+                                                    : 0) +
+            (o_.mesh.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
         double room = 0;
         if (!on_device("carve", [&] { room = 0.95 * static_cast<double>(device_->free_bytes()) - base; })) return false;
         if (leaves * per_leaf <= room) return true;
         const std::string needed = std::to_string((leaves * per_leaf + base) / 1e9).substr(0, 5) + " GB on the device, more than is free there";
-        if (o_.last_stage == LastStage::Carve && room > 1e8) {
+        if (o_.run.last_stage == LastStage::Carve && room > 1e8) {
             device_bricks_ = static_cast<int>(std::ceil(leaves * per_leaf * 1.3 / room));
             return true;
         }
-        if (o_.backend == Backend::Cuda)
+        if (o_.run.backend == Backend::Cuda)
             throw BackendError("this resolution needs about " + needed + ". Remedy: --backend cpu, a lower --resolution, or `carve` alone, in bricks");
         progress_.note("this resolution needs about " + needed + "; going on on the CPU, with the same result");
         backend_ = Backend::Cpu;
@@ -1422,7 +1429,7 @@ class Job {
     void share_out_memory() {
         batch_ = inputs_.size();
         bricks_ = backend_ == Backend::Cuda ? device_bricks_ : 1;
-        if (memory_limit_bytes_ <= 0 || o_.occupancy) return;  // the binary model is small: a bit a voxel
+        if (memory_limit_bytes_ <= 0 || o_.carve.occupancy) return;  // the binary model is small: a bit a voxel
         const double resident = static_cast<double>(resident_memory_bytes()), limit = memory_limit_bytes_;
         const double fields = backend_ == Backend::Cuda ? 0 : field_bytes_;
         if (resident + kCarveBase + fields + hull_bytes_ <= limit) return;
@@ -1556,44 +1563,45 @@ class Job {
 
     /// Fills carve_ and the report's grid from bounds, resolution and the like.
     void plan_grid() {
-        carve_.max_misses = o_.max_misses;
-        carve_.min_seen = o_.min_seen;
-        carve_.outside = o_.outside_is_background ? Outside::Background : Outside::Unknown;
-        carve_.occupancy = o_.occupancy;
-        carve_.half_width_vox = o_.half_width_vox;
+        carve_.max_misses = o_.carve.max_misses;
+        carve_.min_seen = o_.carve.min_seen;
+        carve_.outside = o_.carve.outside_is_background ? Outside::Background : Outside::Unknown;
+        carve_.occupancy = o_.carve.occupancy;
+        carve_.half_width_vox = o_.carve.half_width_vox;
         const auto start = std::chrono::steady_clock::now();
-        Box3d box = kept_       ? kept_->bounds
-                    : o_.bounds ? *o_.bounds
-                                : automatic_bounds(inputs_, used_masks_, o_.distance.silhouette_offset_px, carve_, progress_);
-        floor_clips_ = kept_ ? kept_->floor_clips : views_.floor && !o_.bounds && clip_at_floor(box);
-        if (kept_ && o_.bounds && !(kept_->bounds.min().isApprox(o_.bounds->min(), 1e-9) && kept_->bounds.max().isApprox(o_.bounds->max(), 1e-9)))
-            throw UsageError("--bounds " + box_text(*o_.bounds) + ": views are added to " + o_.output.string() + ", whose bounds are " +
+        Box3d box = kept_            ? kept_->bounds
+                    : o_.grid.bounds ? *o_.grid.bounds
+                                     : automatic_bounds(inputs_, used_masks_, o_.carve.silhouette_offset_px, carve_, progress_);
+        floor_clips_ = kept_ ? kept_->floor_clips : views_.floor && !o_.grid.bounds && clip_at_floor(box);
+        if (kept_ && o_.grid.bounds &&
+            !(kept_->bounds.min().isApprox(o_.grid.bounds->min(), 1e-9) && kept_->bounds.max().isApprox(o_.grid.bounds->max(), 1e-9)))
+            throw UsageError("--bounds " + box_text(*o_.grid.bounds) + ": views are added to " + o_.run.output.string() + ", whose bounds are " +
                              box_text(kept_->bounds) + ". Remedy: without --bounds, or another -o");
         const double bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         const Vec3d size = box.sizes();
         const double footprint = pixel_footprint(box.center());
         double voxel = 0;
-        Vec3d origin = o_.origin.value_or(Vec3d::Zero());
-        if (o_.voxel_size > 0) {
-            voxel = o_.voxel_size;
-        } else if (o_.grid) {
-            const Vec3d sides(size[0] / (*o_.grid)[0], size[1] / (*o_.grid)[1], size[2] / (*o_.grid)[2]);
-            if (o_.bounds) {
+        Vec3d origin = o_.grid.origin.value_or(Vec3d::Zero());
+        if (o_.grid.voxel_size > 0) {
+            voxel = o_.grid.voxel_size;
+        } else if (o_.grid.dims) {
+            const Vec3d sides(size[0] / (*o_.grid.dims)[0], size[1] / (*o_.grid.dims)[1], size[2] / (*o_.grid.dims)[2]);
+            if (o_.grid.bounds) {
                 if (sides.maxCoeff() - sides.minCoeff() > 1e-6 * sides.maxCoeff())
                     throw UsageError("--bounds and --grid give voxels of " + std::to_string(sides[0]) + " x " + std::to_string(sides[1]) + " x " +
                                      std::to_string(sides[2]) + ", which are not cubes. Remedy: change either, or give --resolution");
                 voxel = sides[0];
-                if (!o_.origin) origin = box.min();
+                if (!o_.grid.origin) origin = box.min();
             } else {
                 // The smallest cubic voxel with which that many hold the object.
                 voxel = sides.maxCoeff();
-                const Vec3d whole = voxel * Vec3d((*o_.grid)[0], (*o_.grid)[1], (*o_.grid)[2]);
+                const Vec3d whole = voxel * Vec3d((*o_.grid.dims)[0], (*o_.grid.dims)[1], (*o_.grid.dims)[2]);
                 const Vec3d centre = box.center();
                 box = Box3d(centre - 0.5 * whole, centre + 0.5 * whole);
-                if (!o_.origin) origin = box.min();
+                if (!o_.grid.origin) origin = box.min();
             }
-        } else if (o_.resolution > 0) {
-            voxel = size.maxCoeff() / o_.resolution;
+        } else if (o_.grid.resolution > 0) {
+            voxel = size.maxCoeff() / o_.grid.resolution;
         } else {
             if (footprint <= 0) throw ContradictionError("no camera has the bounds in front of it. Remedy: check --bounds and the cameras");
             const double fine = size.maxCoeff() / footprint;
@@ -1604,15 +1612,15 @@ class Job {
                                (fine > 1024 ? " would be " + std::to_string(std::lround(fine)) + "; --resolution sets another" : ""));
         }
         if (kept_) {
-            const bool given = o_.resolution > 0 || o_.voxel_size > 0 || o_.grid;
-            if ((given && std::fabs(voxel / kept_->voxel_size - 1) > 1e-9) || (o_.origin && !o_.origin->isApprox(kept_->origin, 1e-9)))
+            const bool given = o_.grid.resolution > 0 || o_.grid.voxel_size > 0 || o_.grid.dims;
+            if ((given && std::fabs(voxel / kept_->voxel_size - 1) > 1e-9) || (o_.grid.origin && !o_.grid.origin->isApprox(kept_->origin, 1e-9)))
                 throw UsageError(
                     text_of("%s: gives voxels of %.9g, and views are added to %s, whose voxels of %.9g lie otherwise. Remedy: without it, or another -o",
-                            o_.resolution > 0   ? "--resolution"
-                            : o_.voxel_size > 0 ? "--voxel-size"
-                            : o_.grid           ? "--grid"
-                                                : "--origin",
-                            voxel, o_.output.c_str(), kept_->voxel_size));
+                            o_.grid.resolution > 0   ? "--resolution"
+                            : o_.grid.voxel_size > 0 ? "--voxel-size"
+                            : o_.grid.dims           ? "--grid"
+                                                     : "--origin",
+                            voxel, o_.run.output.c_str(), kept_->voxel_size));
             box = kept_->bounds;
             voxel = kept_->voxel_size;
             origin = kept_->origin;
@@ -1630,7 +1638,7 @@ class Job {
         g["voxel_size"] = voxel;
         g["origin"] = {origin.x(), origin.y(), origin.z()};
         g["bounds"] = {box.min()[0], box.min()[1], box.min()[2], box.max()[0], box.max()[1], box.max()[2]};
-        g["bounds_automatic"] = kept_ ? kept_->automatic : !o_.bounds;
+        g["bounds_automatic"] = kept_ ? kept_->automatic : !o_.grid.bounds;
         if (floor_clips_) g["floor_clips"] = true;
         g["bounds_seconds"] = bounds_seconds;
         g["pixel_footprint"] = footprint;
@@ -1641,8 +1649,9 @@ class Job {
     void plan_distance() {
         std::vector<Camera> cameras;
         for (const CarveInput& input : inputs_) cameras.push_back(input.camera);
-        const FieldPlan plan = plan_fields(cameras, carve_, o_.field_scale);
-        field_options_ = o_.distance;
+        const FieldPlan plan = plan_fields(cameras, carve_, o_.carve.field_scale);
+        field_options_ = {};
+        field_options_.silhouette_offset_px = o_.carve.silhouette_offset_px;
         field_options_.scale = plan.scale;
         field_options_.reach_samples = plan.reach_samples;
         json& g = report_["grid"];
@@ -1659,7 +1668,7 @@ class Job {
 
     /// The raw hull as a result: one file, or a folder of bricks where it did not fit.
     void place_hull() {
-        const fs::path whole = o_.output / (o_.occupancy ? "volume.vdb" : "hull.vdb"), bricks = o_.output / "hull_bricks";
+        const fs::path whole = o_.run.output / (o_.carve.occupancy ? "volume.vdb" : "hull.vdb"), bricks = o_.run.output / "hull_bricks";
         fs::remove_all(bricks);
         if (!report_["grid"].contains("bricks")) {
             place_copy(hull_file(), whole);
@@ -1711,7 +1720,7 @@ class Job {
         occupancy_ = result.occupancy;
         fields_.clear();
         inputs_.clear();
-        if (bricks_ == 1) write_vdb(hull_file(), o_.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
+        if (bricks_ == 1) write_vdb(hull_file(), o_.carve.occupancy ? openvdb::GridCPtrVec{occupancy_} : openvdb::GridCPtrVec{hull_}, metadata());
         json note{{"grid", g},         {"backend", backend_used_}, {"warnings", warnings_since(warnings_before_grid_)},
                   {"base", base_key_}, {"views", view_keys_},      {"id", hull_id_}};
         write_file(hull_json(), note.dump(1) + "\n");
@@ -1719,7 +1728,7 @@ class Job {
     }
 
     std::string up() const { return o_.views.up.empty() ? views_.up : o_.views.up; }
-    FrameRequest frame_request() const { return {up(), views_.units, o_.dcc, o_.stl_mm}; }
+    FrameRequest frame_request() const { return {up(), views_.units, o_.result.dcc, o_.result.stl_mm}; }
     std::vector<Camera> used_cameras() const {
         const std::vector<Camera> all = views_.cameras();
         std::vector<Camera> out;
@@ -1738,12 +1747,12 @@ class Job {
         surface_key_ = h.add("level_set")
                            .add_value(kCodeVersion)
                            .add(hull_id_)
-                           .add_value(o_.flat_base)
+                           .add_value(o_.floor.flat_base)
                            .add_value(views_.floor.has_value())
                            .add_value(views_.floor.value_or(0))
-                           .add_value(o_.floor_clear)
-                           .add_value(o_.floor_from != FloorFrom::File)
-                           .add(o_.flat_base || views_.floor ? up() : "")
+                           .add_value(o_.floor.clear)
+                           .add_value(o_.floor.from != FloorFrom::File)
+                           .add(o_.floor.flat_base || views_.floor ? up() : "")
                            .hex();
         const fs::path file = store_.path("surface", surface_key_, ".vdb"), note_file = store_.path("surface", surface_key_, ".json");
         if (const auto note = stage_note(note_file, {"warnings"}); note && fs::exists(file)) {
@@ -1753,8 +1762,8 @@ class Job {
         }
         const size_t warnings_before = progress_.warnings().size();
         LevelSetOptions options;
-        options.half_width_vox = o_.half_width_vox;
-        if (o_.occupancy) {
+        options.half_width_vox = o_.carve.half_width_vox;
+        if (o_.carve.occupancy) {
             if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
             surface_ = level_set_of_occupancy(*occupancy_, options, progress_);
         } else {
@@ -1771,15 +1780,15 @@ class Job {
         hull_.reset();
         if (views_.floor) {
             surface_ = cut_flat(std::move(surface_), up_direction(), *views_.floor, progress_);
-            if (o_.floor_clear > 0 || (o_.floor_clear < 0 && o_.floor_from != FloorFrom::File)) {
-                const double clear = o_.floor_clear > 0 ? o_.floor_clear : kFloorClear * height_above_floor();
+            if (o_.floor.clear > 0 || (o_.floor.clear < 0 && o_.floor.from != FloorFrom::File)) {
+                const double clear = o_.floor.clear > 0 ? o_.floor.clear : kFloorClear * height_above_floor();
                 surface_ = clear_floor(std::move(surface_), up_direction(), *views_.floor, clear,
                                        1.25 * slope_of_views(*surface_, used_cameras(), up_direction(), *views_.floor), progress_);
                 if (report_.contains("floor")) report_["floor"]["clear"] = clear;
             }
             surface_on_device_ = false;
         }
-        if (o_.flat_base) {
+        if (o_.floor.flat_base) {
             const SeenExtent seen = seen_silhouettes();
             if (seen.bottom_seen) {
                 surface_ = cut_flat(std::move(surface_), up_direction(), seen.lowest, progress_);
@@ -1841,17 +1850,17 @@ class Job {
 
     FilterOptions filter_options() {
         FilterOptions options;
-        options.repair_volume = o_.repair_volume;
-        options.keep_thin_vox = std::min(o_.keep_thin_vox, most_keep_thin_vox(o_.half_width_vox));
-        if (options.keep_thin_vox < o_.keep_thin_vox && o_.filters)
+        options.repair_volume = o_.filter.repair_volume;
+        options.keep_thin_vox = std::min(o_.filter.keep_thin_vox, most_keep_thin_vox(o_.carve.half_width_vox));
+        if (options.keep_thin_vox < o_.filter.keep_thin_vox && o_.filter.steps)
             progress_.note("--keep-thin is " + std::to_string(options.keep_thin_vox).substr(0, 4) + " voxels at most with this band");
-        options.device = o_.device;
+        options.device = o_.run.device;
         json& said = report_["filter"];
-        if (o_.filters) {
-            options.steps = *o_.filters;
+        if (o_.filter.steps) {
+            options.steps = *o_.filter.steps;
         } else {
             const double softness = mask_softness();
-            options.steps = default_filters(o_.occupancy ? -1 : softness);
+            options.steps = default_filters(o_.carve.occupancy ? -1 : softness);
             said["mask_softness"] = softness;
         }
         said["chain"] = filters_text(options.steps);
@@ -1941,9 +1950,9 @@ class Job {
     /// What silhouettes cannot see, from the photographs' depths.
     bool carve_by_depth() {
         Sha256 h;
-        StereoOptions options = o_.stereo;
+        StereoOptions options = o_.stereo.options;
         options.backend = Backend::Cpu;
-        options.device = o_.device;
+        options.device = o_.run.device;
         if (!options.scale) options.scale = backend_ == Backend::Cuda ? 1 : 2;
         const StereoTrust& t = options.trust;
         h.add("stereo")
@@ -1968,7 +1977,7 @@ class Job {
             .add_value(options.coarser_weight)
             .add_value(options.least_weight)
             .add_value(options.least_piece)
-            .add_value(o_.color_leave_out);
+            .add_value(o_.color.leave_out);
         for (size_t i : used_) h.add(file_hashes_[i]);
         if (photos_are_masks()) {
             progress_.warn("--stereo on: the images are the silhouettes themselves, which have no texture; the hull stands");
@@ -1978,15 +1987,15 @@ class Job {
         const fs::path file = store_.path("stereo", surface_key_, ".vdb"), note_file = store_.path("stereo", surface_key_, ".json"),
                        maps = store_.path("stereo", surface_key_, ".maps");
         stereo_sheet_ = store_.path("stereo", surface_key_, ".png");
-        if (o_.stereo_maps) stereo_maps_ = maps;
+        if (o_.stereo.maps) stereo_maps_ = maps;
         if (const auto note = stage_note(note_file, {"stereo", "warnings"});
-            note && fs::exists(file) && fs::exists(stereo_sheet_) && (!o_.stereo_maps || fs::exists(maps))) {
+            note && fs::exists(file) && fs::exists(stereo_sheet_) && (!o_.stereo.maps || fs::exists(maps))) {
             surface_.reset();
             for (const openvdb::GridBase::Ptr& grid : read_vdb(file)) {
                 if (grid->getName() == "surface") surface_ = openvdb::gridPtrCast<openvdb::FloatGrid>(grid);
                 if (grid->getName() == "stereo_confidence") stereo_confidence_ = grid;
             }
-            if (!surface_) throw InputError(file.string() + ": holds no surface. Remedy: vdbcarve clean " + o_.output.string());
+            if (!surface_) throw InputError(file.string() + ": holds no surface. Remedy: vdbcarve clean " + o_.run.output.string());
             surface_on_device_ = false;
             report_["stereo"] = (*note)["stereo"];
             warn_again(*note);
@@ -2039,7 +2048,7 @@ class Job {
                         "texture, and cameras right to a pixel (--method refine)",
                         100 * share_of(trusted, object)));
         draw_stereo(*hull, result);
-        if (o_.stereo_maps) keep_depth_maps(maps, result.maps);
+        if (o_.stereo.maps) keep_depth_maps(maps, result.maps);
         write_vdb(file, {surface_, stereo_confidence_}, metadata());
         write_file(note_file, json{{"stereo", report_["stereo"]}, {"warnings", warnings_since(warnings_before)}}.dump(1) + "\n");
         return false;
@@ -2140,7 +2149,7 @@ class Job {
         std::vector<ColorInput> out;
         for (size_t u = 0; u < used_.size(); ++u) {
             const size_t i = used_[u];
-            const bool held_back = o_.color_leave_out >= 2 && u % static_cast<size_t>(o_.color_leave_out) == static_cast<size_t>(o_.color_leave_out) / 2;
+            const bool held_back = o_.color.leave_out >= 2 && u % static_cast<size_t>(o_.color.leave_out) == static_cast<size_t>(o_.color.leave_out) / 2;
             out.push_back({views_.views[i].name, cameras[i], view_of(masks_.masks[i]), {}, !held_back && !views_.views[i].image_path.empty()});
         }
         return out;
@@ -2177,10 +2186,10 @@ class Job {
     }
 
     ColorOptions color_options() {
-        ColorOptions options = o_.color;
+        ColorOptions options = o_.color.options;
         options.gains.clear();
-        if (o_.occupancy && options.normal_radius_vox == 0) options.normal_radius_vox = 3;
-        options.device = o_.device;
+        if (o_.carve.occupancy && options.normal_radius_vox == 0) options.normal_radius_vox = 3;
+        options.device = o_.run.device;
         const std::string& up = views_.up;
         if (!up.empty()) {
             options.up = Vec3d::Unit(up.back() - 'x');
@@ -2189,7 +2198,7 @@ class Job {
         const double largest = largest_photo_bytes();
         const double limit = memory_limit();
         const double room = limit - static_cast<double>(resident_memory_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kColorPerLeaf;
-        const double wanted = o_.color.batch ? static_cast<double>(o_.color.batch) : static_cast<double>(used_.size());
+        const double wanted = o_.color.options.batch ? static_cast<double>(o_.color.options.batch) : static_cast<double>(used_.size());
         options.batch = static_cast<size_t>(std::clamp(room / largest, 1.0, wanted));
         if (static_cast<double>(options.batch) < wanted)
             progress_.note("photographs of " + std::to_string(options.batch) + " views at a time, to stay within " + std::to_string(limit / 1e9).substr(0, 5) +
@@ -2199,9 +2208,9 @@ class Job {
 
     bool make_color() {
         Sha256 h;
-        const ColorOptions& c = o_.color;
+        const ColorOptions& c = o_.color.options;
         h.add("color").add_value(kCodeVersion).add(surface_key_).add_value(c.mode).add_value(c.test_occlusion).add_value(c.skip_upright).add_value(c.exposure);
-        h.add_value(c.exposure_options.per_channel).add_value(c.depth_vox).add_value(c.normal_radius_vox).add_value(o_.color_leave_out);
+        h.add_value(c.exposure_options.per_channel).add_value(c.depth_vox).add_value(c.normal_radius_vox).add_value(o_.color.leave_out);
         h.add_value(c.exposure_options.noise).add_value(c.exposure_options.spread).add_value(c.exposure_options.iterations);
         for (size_t i : used_) h.add(file_hashes_[i]);
         color_key_ = h.hex();
@@ -2280,7 +2289,7 @@ class Job {
     void color_mesh() {
         if (!color_) return;
         size_t missed = 0;
-        if (o_.color_from_photos) {
+        if (o_.color.from_photos) {
             ColorOptions options = color_options();
             for (size_t u : used_) options.gains.push_back(color_views_[views_.views[u].name]["exposure_gain"].get<std::array<double, 3>>());
             report_["color"]["vertices_seen_share"] = color_vertices_from_photos(mesh_, *surface_, *color_, color_inputs(), photo_source(), options, progress_);
@@ -2297,8 +2306,8 @@ class Job {
         const double held = kProgramBase + leaves * (kTreePerLeaf + (color_ ? kColorGridPerLeaf : 0));
         const double room = memory_limit() - held - leaves * kMeshBytesPerLeaf, wanted = leaves * kMesherBytesPerLeaf;
         report_["mesh_step"]["expected_bytes"] = std::llround(leaves * (kMeshBytesPerLeaf + kMesherBytesPerLeaf));
-        if (wanted <= room || o_.mesher != Mesher::Dual) return 1;
-        if (o_.adaptivity > 0) {
+        if (wanted <= room || o_.mesh.mesher != Mesher::Dual) return 1;
+        if (o_.mesh.adaptivity > 0) {
             progress_.warn("an adaptive mesh is made in one piece, which may exceed the memory limit. Remedy: --adaptivity 0, then --max-error");
             return 1;
         }
@@ -2312,12 +2321,12 @@ class Job {
             .add_value(kCodeVersion)
             .add_value(pieces)
             .add(filtered_key_)
-            .add_value(o_.adaptivity)
-            .add_value(o_.mesher)
-            .add_value(o_.normals)
-            .add_value(o_.min_piece_share)
+            .add_value(o_.mesh.adaptivity)
+            .add_value(o_.mesh.mesher)
+            .add_value(o_.mesh.normals)
+            .add_value(o_.mesh.min_piece_share)
             .add(color_key_);
-        const fs::path file = store_.path("mesh", mesh_key_ = h.add_value(o_.color_from_photos && color_).hex(), ".bin");
+        const fs::path file = store_.path("mesh", mesh_key_ = h.add_value(o_.color.from_photos && color_).hex(), ".bin");
         const fs::path note_file = store_.path("mesh", mesh_key_, ".json");
         const auto note = stage_note(note_file, {"vertices_seen_share", "mesh_step", "warnings"});
         if (auto stored = note ? stored_mesh(file) : std::nullopt) {
@@ -2325,26 +2334,26 @@ class Job {
             if (!(*note)["vertices_seen_share"].is_null()) report_["color"]["vertices_seen_share"] = (*note)["vertices_seen_share"];
             report_["mesh_step"] = (*note)["mesh_step"];
             warn_again(*note);
-            if (!o_.quads) mesh_.quads = 0;
+            if (!o_.mesh.quads) mesh_.quads = 0;
             return true;
         }
         const size_t warnings_before = progress_.warnings().size();
         MeshOptions options;
-        options.adaptivity = o_.adaptivity;
-        options.mesher = o_.mesher;
-        options.normals = o_.normals;
-        options.quads = o_.mesher == Mesher::Dual;
+        options.adaptivity = o_.mesh.adaptivity;
+        options.mesher = o_.mesh.mesher;
+        options.normals = o_.mesh.normals;
+        options.quads = o_.mesh.mesher == Mesher::Dual;
         options.pieces = pieces;
         if (options.pieces > 1) progress_.note("the mesh is made in " + std::to_string(options.pieces) + " slabs, to stay within the memory limit");
         report_["mesh_step"]["slabs"] = options.pieces;
         bool meshed = false;
-        const bool done = backend_ == Backend::Cuda && o_.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
+        const bool done = backend_ == Backend::Cuda && o_.mesh.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
                               if (!surface_on_device_) device_->set_surface(*surface_);
-                              meshed = device_->extract_mesh(o_.normals);
-                              if (meshed) mesh_ = device_->fetch_mesh(o_.normals);
+                              meshed = device_->extract_mesh(o_.mesh.normals);
+                              if (meshed) mesh_ = device_->fetch_mesh(o_.mesh.normals);
                           });
         if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
-        const DroppedPieces dropped = drop_small_pieces(mesh_, o_.min_piece_share);
+        const DroppedPieces dropped = drop_small_pieces(mesh_, o_.mesh.min_piece_share);
         report_["mesh_step"]["dropped_pieces"] = dropped.pieces;
         report_["mesh_step"]["dropped_volume_share"] = dropped.volume_share;
         if (dropped.pieces) {
@@ -2356,14 +2365,14 @@ class Job {
             progress_.note(text);
         }
         color_mesh();
-        const bool direct = o_.color_from_photos && color_;
+        const bool direct = o_.color.from_photos && color_;
         store_mesh(file, mesh_);
         write_file(note_file, json{{"vertices_seen_share", direct ? report_["color"]["vertices_seen_share"] : json()},
                                    {"mesh_step", report_["mesh_step"]},
                                    {"warnings", warnings_since(warnings_before)}}
                                       .dump(1) +
                                   "\n");
-        if (!o_.quads) mesh_.quads = 0;
+        if (!o_.mesh.quads) mesh_.quads = 0;
         return false;
     }
 
@@ -2371,12 +2380,12 @@ class Job {
 
     /// Taubin's smoothing, then fewer faces.
     bool smooth_mesh() {
-        SmoothOptions options = o_.smooth;
+        SmoothOptions options = o_.smooth.factors;
         // A binary model has steps of a voxel. The default filter takes them away (normals of a ball of 35 voxels 2.0 degrees off; ten iterations of this
         // alone: 5.2), and after it there is nothing left to gain here.
-        options.iterations = o_.smooth_iterations.value_or(o_.occupancy && report_["filter"]["chain"] == "none" ? 10 : 0);
+        options.iterations = o_.smooth.iterations.value_or(o_.carve.occupancy && report_["filter"]["chain"] == "none" ? 10 : 0);
         report_["smooth"] = {{"iterations", options.iterations}};
-        const bool fewer = o_.faces > 0 || o_.max_error > 0;
+        const bool fewer = o_.smooth.faces > 0 || o_.smooth.max_error > 0;
         bool reused = false;
         if (options.iterations > 0 || fewer) {
             Sha256 h;
@@ -2386,21 +2395,21 @@ class Job {
                 .add_value(options.iterations)
                 .add_value(options.lambda)
                 .add_value(options.mu)
-                .add_value(o_.faces)
-                .add_value(o_.max_error);
-            const fs::path file = store_.path("smooth", h.add_value(o_.quads).hex(), ".bin");
+                .add_value(o_.smooth.faces)
+                .add_value(o_.smooth.max_error);
+            const fs::path file = store_.path("smooth", h.add_value(o_.mesh.quads).hex(), ".bin");
             const double volume_before = measure(mesh_).volume;
             if (auto stored = stored_mesh(file)) {
                 mesh_ = std::move(*stored);
                 reused = true;
             } else {
                 smooth(mesh_, options, progress_);
-                if (fewer) decimate(mesh_, {o_.faces, o_.max_error}, progress_);
+                if (fewer) decimate(mesh_, {o_.smooth.faces, o_.smooth.max_error}, progress_);
                 store_mesh(file, mesh_);
             }
-            if (o_.faces > 0 && mesh_.triangles.size() > o_.faces)
-                progress_.warn("the mesh keeps " + std::to_string(mesh_.triangles.size()) + " faces, not " + std::to_string(o_.faces) +
-                               ": fewer would turn faces too far" + (o_.max_error > 0 ? ", or stray by more than --max-error" : ""));
+            if (o_.smooth.faces > 0 && mesh_.triangles.size() > o_.smooth.faces)
+                progress_.warn("the mesh keeps " + std::to_string(mesh_.triangles.size()) + " faces, not " + std::to_string(o_.smooth.faces) +
+                               ": fewer would turn faces too far" + (o_.smooth.max_error > 0 ? ", or stray by more than --max-error" : ""));
             report_["smooth"]["volume_before"] = volume_before;
         }
         measures_ = measure(mesh_);
@@ -2426,7 +2435,7 @@ class Job {
 
     /// Names the part of the surface that no photograph supports.
     void mark_extrapolation() {
-        const double tolerance = o_.cap_tolerance > 0 ? o_.cap_tolerance : 2 * surface_->voxelSize()[0];
+        const double tolerance = o_.floor.cap_tolerance > 0 ? o_.floor.cap_tolerance : 2 * surface_->voxelSize()[0];
         const Vec3d axis = up_direction();
         const SeenExtent seen = seen_silhouettes();
         const Extrapolation e = mark_extrapolated(mesh_, used_cameras(), seen, axis, tolerance);
@@ -2458,7 +2467,7 @@ class Job {
 
     openvdb::GridCPtrVec result_grids() {
         openvdb::GridCPtrVec grids{surface_, density_of(*surface_)};
-        if (o_.occupancy) {
+        if (o_.carve.occupancy) {
             if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
             grids.push_back(occupancy_);
         }
@@ -2467,10 +2476,10 @@ class Job {
             openvdb::Vec3SGrid::Ptr named = openvdb::Vec3SGrid::create(color_->treePtr());
             named->openvdb::MetaMap::operator=(*color_);
             named->setTransform(same_transform(color_->transform()));
-            named->setName(color_grid_name(o_.dcc));
+            named->setName(color_grid_name(o_.result.dcc));
             grids.push_back(named);
-            if (o_.views_grid) grids.push_back(views_grid_);
-            if (o_.confidence_grid) grids.push_back(confidence_grid_);
+            if (o_.result.views_grid) grids.push_back(views_grid_);
+            if (o_.result.confidence_grid) grids.push_back(confidence_grid_);
         }
         return grids;
     }
@@ -2484,10 +2493,10 @@ class Job {
 
     void warn_of_unknown_frame() {
         std::set<std::string> said;
-        for (const std::string& format : o_.mesh_formats)
+        for (const std::string& format : o_.result.mesh_formats)
             if (const std::string unknown = unknown_frame("." + format, frame_request()); !unknown.empty() && said.insert(unknown).second)
                 progress_.warn("mesh." + format + ": " + unknown);
-        if (o_.dcc != Dcc::None && said.empty())
+        if (o_.result.dcc != Dcc::None && said.empty())
             if (const std::string unknown = unknown_frame(".vdb", frame_request()); !unknown.empty()) progress_.warn("volume.vdb: " + unknown);
         if (views_.units.empty() && said.empty())
             progress_.note(std::string("the unit of length is unknown: files carry the scene's own units") +
@@ -2508,7 +2517,7 @@ class Job {
     }
 
     void export_all() {
-        progress_.begin("export", views_.views.size() + o_.mesh_formats.size() + 2);  // views are compared, files written
+        progress_.begin("export", views_.views.size() + o_.result.mesh_formats.size() + 2);  // views are compared, files written
         mark_extrapolation();
         warn_of_wide_bounds();
         warn_of_unknown_frame();
@@ -2519,21 +2528,21 @@ class Job {
         described.up = volume.up;
         described.units = volume.units;
         described.voxel_size *= volume.scale;
-        write_vdb(o_.output / "volume.vdb", grids, described, o_.vdb_half);
+        write_vdb(o_.run.output / "volume.vdb", grids, described, o_.result.vdb_half);
         grids.clear();
         progress_.step();
         // A mesh of an earlier run in a format not asked for now would no longer fit the rest.
         for (const char* format : {"ply", "obj", "stl", "glb", "mtl"})
-            if (std::find(o_.mesh_formats.begin(), o_.mesh_formats.end(), format) == o_.mesh_formats.end())
-                fs::remove(o_.output / (std::string("mesh.") + format));
-        for (const std::string& format : o_.mesh_formats) {
+            if (std::find(o_.result.mesh_formats.begin(), o_.result.mesh_formats.end(), format) == o_.result.mesh_formats.end())
+                fs::remove(o_.run.output / (std::string("mesh.") + format));
+        for (const std::string& format : o_.result.mesh_formats) {
             const fs::path name = "mesh." + format;
             const FileFrame frame = frame_of(name);
-            if (frame.moves()) write_mesh(o_.output / name, in_frame(mesh_, frame));
-            else write_mesh(o_.output / name, mesh_);
+            if (frame.moves()) write_mesh(o_.run.output / name, in_frame(mesh_, frame));
+            else write_mesh(o_.run.output / name, mesh_);
             progress_.step();
         }
-        write_file(o_.output / "cameras.json", cameras_json(views_));
+        write_file(o_.run.output / "cameras.json", cameras_json(views_));
         place_align_pictures();
         place_stereo_pictures();
         agreement();
@@ -2576,7 +2585,7 @@ class Job {
                            (report_.contains("floor")
                                 ? ": shadows and reflections that masks took for the object count as missed below --floor; else look at their masks and cameras"
                                 : ": look at their masks and cameras"));
-        if (o_.floor_from == FloorFrom::Given) warn_of_high_floor(a);
+        if (o_.floor.from == FloorFrom::Given) warn_of_high_floor(a);
         for (json& view : report_["views"])
             if (const auto found = color_views_.find(view["name"].get<std::string>()); found != color_views_.end()) view.update(*found);
         for (const std::string& name : views_.left_out)
@@ -2618,7 +2627,7 @@ class Job {
             progress_.warn(
                 text_of("--floor %g leaves out %.0f %% of what the masks show (median of the views): a reflection or shadow, or a part of the object? Remedy: "
                         "look at the cut in preview.png; --floor auto finds a table that has a pattern",
-                        o_.floor, 100 * share));
+                        o_.floor.height, 100 * share));
     }
 
     static constexpr double kFits_iou = 0.9;  ///< median, where cameras and masks belong together
@@ -2636,22 +2645,22 @@ class Job {
 
     /// Every mask over its photograph, to be looked at.
     void place_overlays() {
-        make_folder(o_.output / "overlays");
+        make_folder(o_.run.output / "overlays");
         tbb::parallel_for(size_t{0}, used_.size(), [&](size_t u) {
             const size_t i = used_[u];
             const auto png = io::encode_png(mask_overlay(photo_to_show(views_.views[i]), masks_.masks[i]));
-            const fs::path file = o_.output / "overlays" / mask_names_[i];
+            const fs::path file = o_.run.output / "overlays" / mask_names_[i];
             make_folder(file.parent_path());
             write_file(file, png.data(), png.size());
         });
-        progress_.note((o_.output / "overlays").string() + " shows the masks over their photographs");
+        progress_.note((o_.run.output / "overlays").string() + " shows the masks over their photographs");
     }
 
     /// Views spread evenly.
     void preview() {
         std::vector<size_t> which;
         for (size_t n = used_.size(), shown = std::min<size_t>(n, 12), s = 0; s < shown; ++s) which.push_back(used_[s * n / shown]);
-        preview(views_, which, o_.output / "preview.png");
+        preview(views_, which, o_.run.output / "preview.png");
     }
 
     void preview(const Views& views, const std::vector<size_t>& which, const fs::path& file) {
@@ -2693,13 +2702,13 @@ class Job {
         out.views = used_.size();
         out.added_views = added_views_;
         out.extend_seconds = extend_seconds_;
-        if (!o_.dry_run) {
+        if (!o_.run.dry_run) {
             write_config();
             write_file(place_ / "report.json", out.report_json);
             for (const char* gone : {"failure.json", "failure.toml"}) fs::remove(store_.folder() / gone);
-            if (place_ == o_.output && o_.last_stage != LastStage::Mask) clear_unverified();
-            if (o_.last_stage == LastStage::Export && place_ == o_.output) write_page();
-            if (!o_.views.added.empty() && o_.last_stage == LastStage::Export)
+            if (place_ == o_.run.output && o_.run.last_stage != LastStage::Mask) clear_unverified();
+            if (o_.run.last_stage == LastStage::Export && place_ == o_.run.output) write_page();
+            if (!o_.views.added.empty() && o_.run.last_stage == LastStage::Export)
                 store_.forget_others({"masks", "repaired", "hull", "surface", "stereo", "color", "filtered", "mesh", "smooth"});
         }
         return out;
@@ -2707,13 +2716,13 @@ class Job {
 
     /// The page for people. Where it fails, the result stands all the same.
     void write_page() {
-        const fs::path file = o_.output / "report.html";
-        if (!o_.report) {
+        const fs::path file = o_.run.output / "report.html";
+        if (!o_.result.report) {
             fs::remove(file);  // it would be about another result
             return;
         }
         try {
-            write_report(o_.output, file, {}, progress_, &mesh_);
+            write_report(o_.run.output, file, {}, progress_, &mesh_);
         } catch (const Interrupted&) {
             throw;
         } catch (const std::exception& e) {
@@ -2734,8 +2743,8 @@ class Job {
     std::vector<fs::path> edited_;  ///< masks that the user changed, by view
     std::vector<size_t> used_;      ///< indices of views that are carved with
     std::string align_key_;
-    bool aligned_ = false;       ///< cameras were found in this run
-    fs::path place_{o_.output};  ///< where files of the result appear
+    bool aligned_ = false;           ///< cameras were found in this run
+    fs::path place_{o_.run.output};  ///< where files of the result appear
     fs::path align_picture_;
     bool floor_clips_ = false;  ///< the bounds end at the floor
     fs::path orbit_svg_;        ///< of the cameras that were found

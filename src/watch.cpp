@@ -144,7 +144,7 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
     for (const fs::path& given : {options.reconstruct.views.images, options.reconstruct.mask.masks, options.reconstruct.mask.ignore_masks})
         watch_too(io::in_scene(given, scene));
     for (const fs::path& added : options.reconstruct.views.added) watch_too(added);
-    Folders folder(roots, options.reconstruct.output, options.settle_s);
+    Folders folder(roots, options.reconstruct.run.output, options.settle_s);
     ReconstructOptions job = options.reconstruct;
     job.views.added.insert(job.views.added.begin(), scene);
     job.views.allow_missing = job.mask.allow_missing = true;
@@ -204,7 +204,7 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
     const auto last_result = [&] {
         if (trouble) std::rethrow_exception(trouble);
         if (!made) throw InputError(scene.string() + ": nothing came (" + (waiting.empty() ? "no photograph" : waiting) + ")");
-        const std::string so_far = options.reconstruct.output.string() + " is of " + counted(result.views, "view");
+        const std::string so_far = options.reconstruct.run.output.string() + " is of " + counted(result.views, "view");
         if (!folder.damaged().empty())
             throw InputError(*folder.damaged().begin() + (folder.damaged().size() > 1 ? ", and " + std::to_string(folder.damaged().size() - 1) + " more" : "") +
                              ": left out to the end; " + so_far + ". Remedy: copy it again; another watch goes on from there");
@@ -218,7 +218,7 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
         try {
             progress.check();
         } catch (const Interrupted&) {
-            if (made) progress.note("stopped while waiting: " + options.reconstruct.output.string() + " is of " + counted(result.views, "view"));
+            if (made) progress.note("stopped while waiting: " + options.reconstruct.run.output.string() + " is of " + counted(result.views, "view"));
             throw;
         }
         folder.look();

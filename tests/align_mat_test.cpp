@@ -184,10 +184,10 @@ TEST(AlignPipeline, AMatGivesAMeshInMetresThatStandsOnTheFloor) {
     write_photos(photograph(shoot), folder / "scene");
     ReconstructOptions o;
     o.views.scene = folder / "scene";
-    o.output = folder / "out";
-    o.resolution = 96;
+    o.run.output = folder / "out";
+    o.grid.resolution = 96;
     o.align = by_mat(shoot.mat);
-    o.align_again = true;
+    o.cameras.find_again = true;
     const auto report = nlohmann::json::parse(reconstruct(o, quiet).report_json);
     EXPECT_EQ(report["cameras"]["units"], "m");
     const Mesh mesh = read_mesh(folder / "out/mesh.ply");

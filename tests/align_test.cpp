@@ -626,10 +626,10 @@ struct Folder {
         write_scene(synthesize(spec, quiet), folder / "scene");
         for (const char* file : {"transforms.json", "transforms_nominal.json"}) std::filesystem::remove(folder / "scene" / file);
         options.views.scene = folder / "scene";
-        options.output = folder / "out";
-        options.resolution = 64;
-        options.color.mode = ColorMode::None;
-        options.mesh_formats = {"ply"};
+        options.run.output = folder / "out";
+        options.grid.resolution = 64;
+        options.color.options.mode = ColorMode::None;
+        options.result.mesh_formats = {"ply"};
         options.align.restarts = 1;
     }
     nlohmann::json run() {
@@ -658,7 +658,7 @@ TEST(AlignPipeline, MasksAloneBecomeAMeshAndAgainTheSame) {
     EXPECT_EQ(again["align"], first["align"]);
     // What was found is a camera file like any other, and carves to the same bits.
     std::filesystem::copy_file(f.folder / "out/cameras.json", f.folder / "scene/cameras.json");
-    f.options.output = f.folder / "out2";
+    f.options.run.output = f.folder / "out2";
     f.options.align = {};
     f.run();
     EXPECT_EQ(read_text(f.folder / "out2/mesh.ply"), mesh);
@@ -684,16 +684,16 @@ TEST(AlignPipeline, CamerasThatCannotBeTrustedEndTheRunUnlessAccepted) {
     const ReconstructOptions searching = f.options;
     f.options.align = {};
     f.options.views.cameras = f.folder / "doubtful.json";
-    f.options.output = f.folder / "out2";
-    f.options.max_misses = 4;  // or nothing is left
+    f.options.run.output = f.folder / "out2";
+    f.options.carve.max_misses = 4;  // or nothing is left
     EXPECT_NE(error_of(ExitCode::Undetermined, [&] { f.run(); }).find("UNVERIFIED"), std::string::npos);
-    f.options.accept_unobservable = true;
+    f.options.cameras.accept_unobservable = true;
     f.run();
     EXPECT_TRUE(std::filesystem::exists(f.folder / "out2/mesh.ply"));
     EXPECT_NE(read_text(f.folder / "out2/cameras.json").find("unverified"), std::string::npos);
     f.options = searching;
-    f.options.accept_unobservable = true;
-    f.options.max_misses = 4;
+    f.options.cameras.accept_unobservable = true;
+    f.options.carve.max_misses = 4;
     const nlohmann::json r = f.run();
     EXPECT_FALSE(r["align"]["verified"]);
     EXPECT_NE(read_text(f.folder / "out/mesh.ply"), mesh);
@@ -716,7 +716,7 @@ TEST(AlignPipeline, ABrokenMaskIsNotCarvedWith) {
     // The camera file says so too.
     const std::string mesh = read_text(f.folder / "out/mesh.ply");
     std::filesystem::copy_file(f.folder / "out/cameras.json", f.folder / "scene/cameras.json");
-    f.options.output = f.folder / "out2";
+    f.options.run.output = f.folder / "out2";
     f.options.align = {};
     EXPECT_FALSE(f.run()["views"][7]["used"]);
     EXPECT_EQ(read_text(f.folder / "out2/mesh.ply"), mesh);
@@ -724,10 +724,10 @@ TEST(AlignPipeline, ABrokenMaskIsNotCarvedWith) {
     // A mended mask has its say again when cameras are refined.
     std::filesystem::remove(file);
     std::filesystem::copy_file(f.folder / "clean.png", file);
-    f.options.output = f.folder / "out3";
+    f.options.run.output = f.folder / "out3";
     f.options.align.method = AlignMethod::Refine;
     f.options.align.features = false;
-    f.options.align_again = true;
+    f.options.cameras.find_again = true;
     EXPECT_TRUE(f.run()["views"][7]["used"]);
 }
 

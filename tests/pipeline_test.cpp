@@ -37,9 +37,9 @@ struct Job {
         Progress quiet;
         write_scene(synthesize(spec, quiet), folder / "scene");
         options.views.scene = folder / "scene";
-        options.output = folder / "out";
-        options.resolution = 64;
-        options.mesh_formats = {"ply", "obj", "stl"};
+        options.run.output = folder / "out";
+        options.grid.resolution = 64;
+        options.result.mesh_formats = {"ply", "obj", "stl"};
     }
     Reconstruction last;
 
@@ -90,7 +90,7 @@ TEST(Pipeline, TwoRunsGiveTheSameBytesAndTheSecondRedoesNothing) {
     for (const char* stage : {"mask", "carve", "level_set", "mesh"}) EXPECT_TRUE(Job::reused(again, stage)) << stage;
     for (const char* f : kFiles) EXPECT_EQ(a.bytes(f), b.bytes(f)) << f;
     // After `clean` everything is made anew, the same.
-    EXPECT_GT(clean(a.options.output), 100000u);
+    EXPECT_GT(clean(a.options.run.output), 100000u);
     EXPECT_EQ(std::distance(fs::directory_iterator(a.folder / "out/stages"), {}), 1);  // the marker
     EXPECT_FALSE(Job::reused(a.run(), "carve"));
     for (const char* f : kFiles) EXPECT_EQ(a.bytes(f), b.bytes(f)) << f;
@@ -99,16 +99,16 @@ TEST(Pipeline, TwoRunsGiveTheSameBytesAndTheSecondRedoesNothing) {
 TEST(Pipeline, AChangedOptionRedoesOnlyWhatDependsOnIt) {
     Job job;
     job.run();
-    job.options.adaptivity = 0.2;
+    job.options.mesh.adaptivity = 0.2;
     json r = job.run();
     EXPECT_TRUE(Job::reused(r, "carve"));
     EXPECT_TRUE(Job::reused(r, "level_set"));
     EXPECT_FALSE(Job::reused(r, "mesh"));
-    job.options.max_misses = 1;
+    job.options.carve.max_misses = 1;
     r = job.run();
     EXPECT_TRUE(Job::reused(r, "mask"));
     EXPECT_FALSE(Job::reused(r, "carve"));
-    job.options.max_misses = 0;
+    job.options.carve.max_misses = 0;
     EXPECT_TRUE(Job::reused(job.run(), "carve"));  // the older stage is still there
 }
 
@@ -147,10 +147,10 @@ TEST(Pipeline, AStageThatWasCutOffIsMadeAgain) {
 
 TEST(Pipeline, ForeignFoldersAreLeftAlone) {
     Job job;
-    fs::create_directories(job.options.output);
+    fs::create_directories(job.options.run.output);
     write_text(job.folder / "out/thesis.txt", "precious");
     EXPECT_NE(error_of(ExitCode::Output, [&] { job.run(); }).find("--force"), std::string::npos);
-    job.options.force = true;
+    job.options.run.force = true;
     job.run();
     EXPECT_EQ(job.bytes("thesis.txt"), "precious");
     EXPECT_THROW(clean(job.folder / "scene"), InputError);
@@ -158,30 +158,30 @@ TEST(Pipeline, ForeignFoldersAreLeftAlone) {
 
 TEST(Pipeline, GridsBoundsAndOrigin) {
     Job job;
-    job.options.resolution = 0;
-    job.options.last_stage = LastStage::Carve;
-    job.options.bounds = Box3d(Vec3d(-1, -0.8, -1), Vec3d(1, 0.8, 1));
-    job.options.grid = {50, 40, 50};
+    job.options.grid.resolution = 0;
+    job.options.run.last_stage = LastStage::Carve;
+    job.options.grid.bounds = Box3d(Vec3d(-1, -0.8, -1), Vec3d(1, 0.8, 1));
+    job.options.grid.dims = {50, 40, 50};
     json r = job.run();
     EXPECT_EQ(r["grid"]["dims"], json({50, 40, 50}));
     EXPECT_NEAR(r["grid"]["voxel_size"], 0.04, 1e-12);
-    job.options.grid = {50, 50, 50};
+    job.options.grid.dims = {50, 50, 50};
     EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("not cubes"), std::string::npos);
-    job.options.grid.reset();
-    job.options.voxel_size = 0.05;
+    job.options.grid.dims.reset();
+    job.options.grid.voxel_size = 0.05;
     EXPECT_EQ(job.run()["grid"]["dims"], json({40, 32, 40}));
-    job.options.bounds->min().x() = 0.1;
+    job.options.grid.bounds->min().x() = 0.1;
     r = job.run();
     EXPECT_GT(r["grid"]["clipped_share"], 0.02);
     EXPECT_NE(r["warnings"].dump().find("cut the object"), std::string::npos);
-    job.options.resolution = 10;
+    job.options.grid.resolution = 10;
     EXPECT_THROW(job.run(), UsageError);
-    job.options.resolution = 0;
-    job.options.bounds = Box3d(Vec3d(0, 0, 0), Vec3d(1, 0, 1));
+    job.options.grid.resolution = 0;
+    job.options.grid.bounds = Box3d(Vec3d(0, 0, 0), Vec3d(1, 0, 1));
     EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("--bounds has no volume"), std::string::npos);
-    job.options.bounds.reset();
-    job.options.backend = Backend::Cuda;
-    job.options.device = 99;
+    job.options.grid.bounds.reset();
+    job.options.run.backend = Backend::Cuda;
+    job.options.run.device = 99;
     const std::string said = error_of(ExitCode::Backend, [&] { job.run(); });
     EXPECT_NE(said.find(cuda_devices().empty() ? "Remedy: --backend cpu" : "--device 99"), std::string::npos) << said;
 }
@@ -189,12 +189,12 @@ TEST(Pipeline, GridsBoundsAndOrigin) {
 // A limit below what the process holds already: bricks and batches of the least size, and the same hull.
 TEST(Pipeline, BricksUnderAMemoryLimitEqualTheWhole) {
     Job job;
-    job.options.resolution = 200;
-    job.options.last_stage = LastStage::Carve;
+    job.options.grid.resolution = 200;
+    job.options.run.last_stage = LastStage::Carve;
     const json whole = job.run();
     const auto hull = read_float_grid(job.folder / "out/hull.vdb", "hull");
-    job.options.output = job.folder / "bricks";
-    job.options.memory_limit = 1 << 20;
+    job.options.run.output = job.folder / "bricks";
+    job.options.run.memory_limit = 1 << 20;
     const json parts = job.run();
     ASSERT_TRUE(parts["grid"].contains("bricks"));
     EXPECT_GT(parts["grid"]["bricks"].size(), 1u);
@@ -212,32 +212,32 @@ TEST(Pipeline, BricksUnderAMemoryLimitEqualTheWhole) {
     job.run();
     EXPECT_TRUE(fs::exists(job.folder / "bricks/hull_bricks" / lost));
     // The whole job says what it needs instead of trying.
-    job.options.last_stage = LastStage::Export;
+    job.options.run.last_stage = LastStage::Export;
     EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("--memory-limit"), std::string::npos);
 }
 
 TEST(Pipeline, OccupancyAndDryRun) {
     Job job("torus");
-    job.options.occupancy = true;
+    job.options.carve.occupancy = true;
     const json r = job.run();
     EXPECT_TRUE(r["mesh"]["manifold"]);
     EXPECT_EQ(r["mesh"]["genus"], 1);
     Job plan;
-    plan.options.dry_run = true;
+    plan.options.run.dry_run = true;
     const json p = plan.run();
     EXPECT_GT(p["grid"]["expected_peak_bytes"], p["grid"]["expected_bytes"]);
-    EXPECT_FALSE(fs::exists(plan.options.output));
+    EXPECT_FALSE(fs::exists(plan.options.run.output));
     // What it said came true, but for leaves that a coarse hull cannot foresee.
-    plan.options.dry_run = false;
+    plan.options.run.dry_run = false;
     const json done = plan.run();
     EXPECT_NEAR(p["grid"]["expected_leaves"].get<double>(), done["grid"]["leaves"].get<double>(), 0.1 * done["grid"]["leaves"].get<double>());
 }
 
 TEST(Pipeline, ColoursReachVolumeMeshAndReport) {
     Job job("ellipsoids", true);
-    job.options.dcc = Dcc::Houdini;
-    job.options.views_grid = job.options.confidence_grid = true;
-    job.options.color_leave_out = 4;
+    job.options.result.dcc = Dcc::Houdini;
+    job.options.result.views_grid = job.options.result.confidence_grid = true;
+    job.options.color.leave_out = 4;
     const json r = job.run();
     std::set<std::string> names;
     openvdb::Vec3SGrid::Ptr color;
@@ -274,19 +274,19 @@ TEST(Pipeline, ColoursReachVolumeMeshAndReport) {
     // Again: nothing to do. Another mode: from colour on. None: no colour anywhere.
     EXPECT_TRUE(Job::reused(job.run(), "color"));
     const std::string before = job.bytes("mesh.ply");
-    job.options.color.mode = ColorMode::Best;
+    job.options.color.options.mode = ColorMode::Best;
     const json best = job.run();
     EXPECT_TRUE(Job::reused(best, "level_set"));
     EXPECT_FALSE(Job::reused(best, "color"));
     EXPECT_FALSE(Job::reused(best, "mesh"));
     EXPECT_NE(job.bytes("mesh.ply"), before);
-    job.options.color.mode = ColorMode::Blend;
+    job.options.color.options.mode = ColorMode::Blend;
     EXPECT_TRUE(Job::reused(job.run(), "mesh"));
     EXPECT_EQ(job.bytes("mesh.ply"), before);
-    job.options.color_from_photos = true;
+    job.options.color.from_photos = true;
     job.run();
     EXPECT_EQ(read_mesh(job.folder / "out/mesh.ply").colors.size(), ply.vertices.size());
-    job.options.color.mode = ColorMode::None;
+    job.options.color.options.mode = ColorMode::None;
     job.run();
     EXPECT_TRUE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
 }
@@ -296,7 +296,7 @@ TEST(Pipeline, ColoursFromOnePhotographAtATimeAreTheSame) {
     job.run();
     const std::string volume = job.bytes("volume.vdb"), mesh = job.bytes("mesh.ply");
     fs::remove_all(job.folder / "out");
-    job.options.color.batch = 1;
+    job.options.color.options.batch = 1;
     job.run();
     EXPECT_EQ(job.bytes("volume.vdb"), volume);
     EXPECT_EQ(job.bytes("mesh.ply"), mesh);
@@ -329,8 +329,8 @@ TEST(Pipeline, APhotographOfAnotherSizeGivesNoColourAndIsNamed) {
         write_text(folder / "scene/images/0003.png", std::string(small.begin(), small.end()));
         ReconstructOptions o;
         o.views.scene = folder / "scene";
-        o.output = folder / "out";
-        o.resolution = 48;
+        o.run.output = folder / "out";
+        o.grid.resolution = 48;
         json r;
         try {
             r = json::parse(reconstruct(o, progress).report_json);
@@ -362,8 +362,8 @@ TEST(Pipeline, AShapeWithoutReadablePhotographsStandsWithoutColour) {
 
 TEST(Pipeline, OccupancyWithColoursFromTheImages) {
     Job job("torus", true);
-    job.options.occupancy = true;
-    job.options.color_from_photos = true;
+    job.options.carve.occupancy = true;
+    job.options.color.from_photos = true;
     const json r = job.run();
     EXPECT_GT(r["color"]["vertices_seen_share"], 0.5);
     // Said again when the mesh is there already.
@@ -372,8 +372,8 @@ TEST(Pipeline, OccupancyWithColoursFromTheImages) {
 
 TEST(Pipeline, RenderingsAreComparedWithPhotographs) {
     Job job("ellipsoids", true);
-    job.options.color_leave_out = 4;
-    job.options.resolution = 96;
+    job.options.color.leave_out = 4;
+    job.options.grid.resolution = 96;
     job.run();
     Progress quiet;
     ViewsOptions o;
@@ -415,11 +415,11 @@ TEST(Pipeline, RenderingsAreComparedWithPhotographs) {
 // A changed filter redoes the filter and what follows, smoothing only itself; and files are the same bytes whether stages ran or were found.
 TEST(Pipeline, FilterMeshAndSmoothAreStagesOfTheirOwn) {
     Job job("ellipsoids", true);
-    job.options.mesh_formats = {"ply", "glb"};
+    job.options.result.mesh_formats = {"ply", "glb"};
     const json soft = job.run();
     EXPECT_EQ(soft["filter"]["chain"], "none");
     EXPECT_GT(soft["filter"]["mask_softness"], 0.5);
-    job.options.filters = parse_filters("edge-preserving:1");
+    job.options.filter.steps = parse_filters("edge-preserving:1");
     const json first = job.run();
     EXPECT_NEAR(first["filter"]["volume"].get<double>() / first["filter"]["volume_before"].get<double>(), 1, 2e-4);
     const std::string ply = job.bytes("mesh.ply"), glb = job.bytes("mesh.glb"), volume = job.bytes("volume.vdb");
@@ -437,14 +437,14 @@ TEST(Pipeline, FilterMeshAndSmoothAreStagesOfTheirOwn) {
     EXPECT_FALSE(Job::reused(job.run(), "mesh"));
     EXPECT_EQ(job.bytes("mesh.glb"), glb);
 
-    job.options.filters = parse_filters("gaussian:1");
+    job.options.filter.steps = parse_filters("gaussian:1");
     const json other = job.run();
     EXPECT_TRUE(Job::reused(other, "color"));
     EXPECT_FALSE(Job::reused(other, "filter"));
     EXPECT_FALSE(Job::reused(other, "mesh"));
     EXPECT_NE(job.bytes("mesh.ply"), ply);
-    job.options.smooth_iterations = 5;
-    job.options.faces = 1500;
+    job.options.smooth.iterations = 5;
+    job.options.smooth.faces = 1500;
     const json smooth = job.run();
     EXPECT_TRUE(Job::reused(smooth, "filter"));
     EXPECT_TRUE(Job::reused(smooth, "mesh"));
@@ -455,13 +455,13 @@ TEST(Pipeline, FilterMeshAndSmoothAreStagesOfTheirOwn) {
     EXPECT_FALSE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
     EXPECT_TRUE(Job::reused(job.run(), "smooth"));
     // The binary model, unfiltered, is smoothed by itself.
-    job.options.smooth_iterations.reset();
-    job.options.faces = 0;
-    job.options.filters = parse_filters("none");
+    job.options.smooth.iterations.reset();
+    job.options.smooth.faces = 0;
+    job.options.filter.steps = parse_filters("none");
     EXPECT_EQ(job.run()["smooth"]["iterations"], 0);
-    job.options.occupancy = true;
+    job.options.carve.occupancy = true;
     EXPECT_EQ(job.run()["smooth"]["iterations"], 10);
-    job.options.filters.reset();
+    job.options.filter.steps.reset();
     const json binary = job.run();
     EXPECT_EQ(binary["filter"]["chain"], "edge-preserving:2x4");
     EXPECT_EQ(binary["smooth"]["iterations"], 0);
@@ -469,8 +469,8 @@ TEST(Pipeline, FilterMeshAndSmoothAreStagesOfTheirOwn) {
 
 TEST(Pipeline, AFilterThatTakesPartsAwaySaysSo) {
     Job job("cup");
-    job.options.filters = parse_filters("gaussian:2x2");
-    job.options.keep_thin_vox = 0;
+    job.options.filter.steps = parse_filters("gaussian:2x2");
+    job.options.filter.keep_thin_vox = 0;
     const json r = job.run();
     bool said = false;
     for (const json& w : r["warnings"]) said |= w.get<std::string>().find("of the volume") != std::string::npos;
@@ -480,7 +480,7 @@ TEST(Pipeline, AFilterThatTakesPartsAwaySaysSo) {
 // What every preset is for: after each format's own rule, mesh and volume lie in the same box.
 TEST(Pipeline, FilesOfAPresetCoincide) {
     Job job;
-    job.options.mesh_formats = {"ply", "obj", "glb", "stl"};
+    job.options.result.mesh_formats = {"ply", "obj", "glb", "stl"};
     job.options.views.units = "cm";
     job.options.views.up = "z";
     const auto box = [](const Mesh& mesh) {
@@ -510,7 +510,7 @@ TEST(Pipeline, FilesOfAPresetCoincide) {
                  {Dcc::Maya, y_up(1), y_up(1), ""}};
     for (const auto& c : cases) {
         SCOPED_TRACE(static_cast<int>(c.dcc));
-        job.options.dcc = c.dcc;
+        job.options.result.dcc = c.dcc;
         const json r = job.run();
         for (const auto& grid : read_vdb(job.folder / "out/volume.vdb"))
             if (grid->getName() == "surface") {
@@ -524,8 +524,8 @@ TEST(Pipeline, FilesOfAPresetCoincide) {
         expect_box(box(read_mesh(job.folder / "out/mesh.glb")), y_up(0.01));
         EXPECT_TRUE(measure(read_mesh(job.folder / "out/mesh.ply")).volume > 0);
     }
-    job.options.dcc = Dcc::None;
-    job.options.stl_mm = true;
+    job.options.result.dcc = Dcc::None;
+    job.options.result.stl_mm = true;
     job.run();
     expect_box(box(read_mesh(job.folder / "out/mesh.stl")), scaled_box(10));
     job.options.views.units.clear();
@@ -539,7 +539,7 @@ TEST(Pipeline, TheFootIsCutFlatAndWhatNobodySawIsNamed) {
     EXPECT_GT(hull["extrapolated"]["area_share"], 0.02);
     EXPECT_FALSE(hull["extrapolated"].contains("top_beyond_mm"));
     EXPECT_NE(job.bytes("mesh.ply").find("property uchar extrapolated"), std::string::npos);
-    job.options.flat_base = true;
+    job.options.floor.flat_base = true;
     job.options.views.units = "cm";
     const json flat = job.run();
     EXPECT_LT(flat["extrapolated"]["bottom_beyond"], 0.7 * flat["grid"]["voxel_size"].get<double>());
@@ -559,8 +559,8 @@ TEST(Pipeline, AFilmIsAScene) {
     o.views.scene = folder / "scene/film.mp4";
     o.video.frames = 20;
     o.mask.method = MaskMethod::Chroma;
-    o.last_stage = LastStage::Mask;
-    o.output = folder / "out";
+    o.run.last_stage = LastStage::Mask;
+    o.run.output = folder / "out";
     const auto run = [&] {
         Progress progress;
         return json::parse(reconstruct(o, progress).report_json);
@@ -588,9 +588,9 @@ TEST(Pipeline, AFilmIsAScene) {
     }
     write_text(folder / "cameras.json", cameras_json(posed));
     o.views.cameras = folder / "cameras.json";
-    o.last_stage = LastStage::Export;
-    o.output = folder / "model";
-    o.resolution = 64;
+    o.run.last_stage = LastStage::Export;
+    o.run.output = folder / "model";
+    o.grid.resolution = 64;
     const json model = run();
     EXPECT_GT(model["silhouette_iou"]["median"], 0.96);  // of 120 lines, as the film's compression left them
     EXPECT_TRUE(model["mesh"]["manifold"]);
@@ -598,7 +598,7 @@ TEST(Pipeline, AFilmIsAScene) {
     const Views again = result_views(folder / "model", {}, quiet);
     ASSERT_EQ(again.views.size(), 20u);
     EXPECT_TRUE(fs::exists(again.views[3].image_path));
-    o.dry_run = true;
+    o.run.dry_run = true;
     EXPECT_THROW(run(), UsageError);
 }
 
@@ -623,8 +623,8 @@ TEST(Pipeline, AResultThatMostViewsContradictIsNotDone) {
 TEST(Pipeline, AFloorThatTakesALegOffIsSaid) {
     Job job("ellipsoids");
     job.options.views.up = "z";
-    job.options.floor_from = ReconstructOptions::FloorFrom::Given;
-    job.options.floor = 0;
+    job.options.floor.from = FloorOptions::From::Given;
+    job.options.floor.height = 0;
     const json r = job.run();
     EXPECT_NE(r["warnings"].dump().find("--floor 0 leaves out"), std::string::npos) << r["warnings"];
 }
@@ -692,10 +692,10 @@ struct Arrivals {
         fs::copy_file(folder / "all/transforms.json", folder / "scene/transforms.json");
         options.views.scene = folder / "scene";
         options.views.allow_missing = options.mask.allow_missing = true;
-        options.output = folder / "out";
-        options.resolution = 56;
-        options.mesh_formats = {"ply"};
-        options.report = false;
+        options.run.output = folder / "out";
+        options.grid.resolution = 56;
+        options.result.mesh_formats = {"ply"};
+        options.result.report = false;
     }
     /// The mask first: a photograph without one would be left out until it comes.
     void arrive(size_t n) const {
@@ -711,13 +711,13 @@ struct Arrivals {
     ReconstructOptions batch(const json& report) const {
         ReconstructOptions o = options;
         const auto b = report["grid"]["bounds"].get<std::array<double, 6>>();
-        o.bounds = Box3d(Vec3d(b[0], b[1], b[2]), Vec3d(b[3], b[4], b[5]));
-        o.resolution = 0;
-        o.grid.reset();
-        o.voxel_size = report["grid"]["voxel_size"].get<double>();
+        o.grid.bounds = Box3d(Vec3d(b[0], b[1], b[2]), Vec3d(b[3], b[4], b[5]));
+        o.grid.resolution = 0;
+        o.grid.dims.reset();
+        o.grid.voxel_size = report["grid"]["voxel_size"].get<double>();
         const auto at = report["grid"]["origin"].get<std::array<double, 3>>();
-        o.origin = Vec3d(at[0], at[1], at[2]);
-        o.output = folder / "batch";
+        o.grid.origin = Vec3d(at[0], at[1], at[2]);
+        o.run.output = folder / "batch";
         o.views.added.clear();
         return o;
     }
@@ -737,7 +737,7 @@ struct Arrivals {
 TEST(Pipeline, AddedViewsGiveWhatAllAtOnceGive) {
     for (const int variant : {0, 1, 2}) {
         Arrivals a(variant == 2);
-        a.options.max_misses = variant == 1;
+        a.options.carve.max_misses = variant == 1;
         const std::vector<size_t> order = variant == 0 ? std::vector<size_t>{4, 7, 1, 8, 0, 6, 2, 5, 3} : std::vector<size_t>{0, 3, 6, 1, 4, 7, 2, 5, 8};
         ReconstructOptions adding = a.options;
         json last;
@@ -766,12 +766,12 @@ TEST(Pipeline, AddingSaysWhatItCannotKeep) {
     ReconstructOptions o = a.options;
     o.views.added = {a.options.views.scene};
     Progress quiet;
-    o.resolution = 57;
+    o.grid.resolution = 57;
     EXPECT_THROW(reconstruct(o, quiet), UsageError);
-    o.resolution = 56;
-    o.bounds = Box3d(Vec3d(-1, -1, -1), Vec3d(1, 1, 1));
+    o.grid.resolution = 56;
+    o.grid.bounds = Box3d(Vec3d(-1, -1, -1), Vec3d(1, 1, 1));
     EXPECT_THROW(reconstruct(o, quiet), UsageError);
-    o.bounds.reset();
+    o.grid.bounds.reset();
     // A view that moved makes its old bounds worthless, which is said, and carved anew.
     json cameras = json::parse(read_text(a.folder / "scene/transforms.json"));
     for (json& f : cameras["frames"]) f["transform_matrix"][0][3] = f["transform_matrix"][0][3].get<double>() + 0.01;
@@ -940,7 +940,7 @@ TEST(Watch, EndsWhenNothingComesAndSaysWhatWasWrong) {
     fs::copy_file(a.folder / ("all/images/" + a.names[6]), a.folder / ("scene/images/" + a.names[6]));
     settle();
     WatchOptions broken = w;
-    broken.reconstruct.output = a.folder / "broken";
+    broken.reconstruct.run.output = a.folder / "broken";
     EXPECT_THROW(watch(broken, quiet), InputError);
     fs::remove(a.folder / ("scene/masks/" + fs::path(a.names[6]).stem().string() + ".png"));
     EXPECT_EQ(watch(broken, quiet).views, 6u);
@@ -948,7 +948,7 @@ TEST(Watch, EndsWhenNothingComesAndSaysWhatWasWrong) {
     fs::rename(a.folder / "scene/images", a.folder / "photographs");
     fs::create_directory_symlink(a.folder / "photographs", a.folder / "link");
     broken.reconstruct.views.images = a.folder / "link";
-    broken.reconstruct.output = a.folder / "elsewhere";
+    broken.reconstruct.run.output = a.folder / "elsewhere";
     EXPECT_EQ(watch(broken, quiet).views, 6u);
     w.reconstruct.views.scene = a.folder / "nowhere";
     EXPECT_THROW(watch(w, quiet), InputError);
@@ -963,7 +963,7 @@ TEST(Pipeline, MasksOfKnownPhotographsAreNotMadeAgain) {
     write_text(tool, "#!/bin/sh\necho made >> " + log.string() + "\ncp \"$(dirname \"$1\")/../masks/$(basename \"$1\" | sed 's/\\.[a-z]*$/.png/')\" \"$2\"\n");
     fs::permissions(tool, fs::perms::owner_all);
     a.options.mask.command = tool.string() + " {in} {out}";
-    a.options.last_stage = LastStage::Mask;
+    a.options.run.last_stage = LastStage::Mask;
     const auto made = [&] {
         const std::string text = read_text(log);
         return std::count(text.begin(), text.end(), '\n');
@@ -996,8 +996,8 @@ TEST(Pipeline, ViewsThatAreAlikeAreAdded) {
         };
         fs::copy_file(name(0), name(8), fs::copy_options::overwrite_existing);
     }
-    a.options.color.mode = ColorMode::None;
-    a.options.max_misses = 1;
+    a.options.color.options.mode = ColorMode::None;
+    a.options.carve.max_misses = 1;
     a.run(a.options);
     a.arrive(5);
     ReconstructOptions o = a.options;
@@ -1012,10 +1012,10 @@ TEST(Pipeline, AddingNothingRedoesNothing) {
         Arrivals a;
         for (const size_t n : {0, 1, 2, 3, 4, 5}) a.arrive(n);
         if (by_grid) {
-            a.options.resolution = 0;
-            a.options.grid = {56, 48, 40};
+            a.options.grid.resolution = 0;
+            a.options.grid.dims = {56, 48, 40};
         }
-        a.options.config_text = "reconstruct.scene=\"x\"\nreconstruct.resolution=56\n";
+        a.options.run.config_text = "reconstruct.scene=\"x\"\nreconstruct.resolution=56\n";
         const json first = a.run(a.options);
         ReconstructOptions o = a.options;
         o.views.added = {a.options.views.scene};
@@ -1042,13 +1042,13 @@ TEST(Pipeline, AddingWithinAMemoryLimit) {
     a.run(a.options);
     ReconstructOptions o = a.options;
     o.views.added = {a.options.views.scene};
-    o.memory_limit = 1;  // less than the process holds: batches of the least size
-    o.last_stage = LastStage::Carve;
+    o.run.memory_limit = 1;  // less than the process holds: batches of the least size
+    o.run.last_stage = LastStage::Carve;
     a.arrive(6);
     json limited;
     ASSERT_NO_THROW(limited = a.run(o));
-    o.memory_limit = 0;
-    o.last_stage = LastStage::Export;
+    o.run.memory_limit = 0;
+    o.run.last_stage = LastStage::Export;
     const json third = a.run(o);
     EXPECT_EQ(limited["grid"]["bounds"], third["grid"]["bounds"]);
     EXPECT_EQ(limited["grid"]["active_voxels"], third["grid"]["active_voxels"]);
@@ -1071,7 +1071,7 @@ TEST(Pipeline, ViewsThatAreGoneAreNamed) {
 
 TEST(Bundle, HoldsASceneThatCarvesAlikeAndNoPhotographs) {
     Job job("cup", true);
-    job.options.report = true;
+    job.options.result.report = true;
     const json r = job.run();
     Progress quiet;
     const fs::path archive = job.folder / "b.tar.gz";
@@ -1096,7 +1096,7 @@ TEST(Bundle, HoldsASceneThatCarvesAlikeAndNoPhotographs) {
     EXPECT_EQ(io::read_image8(root / "scene/masks/0003.png").width, 120);
     ReconstructOptions again = job.options;
     again.views.scene = root / "scene";
-    again.output = job.folder / "again";
+    again.run.output = job.folder / "again";
     const json second = json::parse(reconstruct(again, quiet).report_json);
     EXPECT_NEAR(second["mesh"]["volume"].get<double>(), r["mesh"]["volume"].get<double>(), 0.02 * r["mesh"]["volume"].get<double>());
     o.photos = true;
@@ -1117,7 +1117,7 @@ TEST(Bundle, OfALaterRunThatFailedHasItsScene) {
     fs::copy_file(a.folder / ("all/images/" + a.names[7]), a.folder / ("scene/images/" + a.names[7]));
     ReconstructOptions o = a.options;
     o.views.added = {a.options.views.scene};
-    o.bounds = Box3d(Vec3d(50, 50, 50), Vec3d(51, 51, 51));
+    o.grid.bounds = Box3d(Vec3d(50, 50, 50), Vec3d(51, 51, 51));
     Progress quiet;
     EXPECT_THROW(reconstruct(o, quiet), UsageError);
     bundle(a.folder / "out", a.folder / "b.tar.gz", {}, quiet);
@@ -1155,7 +1155,7 @@ TEST(Bundle, OfARunThatWasKilledHasItsCameras) {
 // Of a run that failed: what it failed with, and the scene that it failed on.
 TEST(Bundle, OfARunThatFailedSaysWhatWith) {
     Job job("cup");
-    job.options.bounds = Box3d(Vec3d(50, 50, 50), Vec3d(51, 51, 51));  // nothing is there
+    job.options.grid.bounds = Box3d(Vec3d(50, 50, 50), Vec3d(51, 51, 51));  // nothing is there
     EXPECT_THROW(job.run(), Error);
     Progress quiet;
     bundle(job.folder / "out", job.folder / "b.tar.gz", {}, quiet);
@@ -1164,9 +1164,9 @@ TEST(Bundle, OfARunThatFailedSaysWhatWith) {
     EXPECT_EQ(failure["failure"]["stage"], "carve");
     EXPECT_NE(failure["failure"]["text"].get<std::string>().find("bounds"), std::string::npos);
     job.options.views.scene = job.folder / "vdbcarve-bundle/scene";
-    job.options.output = job.folder / "again";
+    job.options.run.output = job.folder / "again";
     EXPECT_THROW(job.run(), Error);
-    job.options.bounds.reset();
+    job.options.grid.bounds.reset();
     EXPECT_GT(job.run()["mesh"]["volume"], 0);
     EXPECT_FALSE(fs::exists(job.folder / "again/stages/failure.json"));  // it is mended
 }
@@ -1192,16 +1192,16 @@ TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
     write_cameras(views, folder / "scene/cameras.json");
     ReconstructOptions o;
     o.views.scene = folder / "scene";
-    o.output = folder / "out";
-    o.resolution = 48;
-    o.mesh_formats = {"ply"};
-    o.report = false;
+    o.run.output = folder / "out";
+    o.grid.resolution = 48;
+    o.result.mesh_formats = {"ply"};
+    o.result.report = false;
     Progress quiet;
     const auto run = [&] { return json::parse(reconstruct(o, quiet).report_json); };
     const json hull = run();
     EXPECT_FALSE(hull.contains("stereo"));
-    o.use_stereo = true;
-    o.stereo.scale = 1;
+    o.stereo.on = true;
+    o.stereo.options.scale = 1;
     const json carved = run();
     const double truth = DentedBall().volume();
     EXPECT_GT(hull["mesh"]["volume"], 1.08 * truth);
@@ -1221,7 +1221,7 @@ TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
     EXPECT_FALSE(fs::exists(folder / "out/depth"));
     fs::create_directories(folder / "out/depth");
     write_text(folder / "out/depth/mine.txt", "not ours");
-    o.stereo_maps = true;
+    o.stereo.maps = true;
     EXPECT_FALSE(Job::reused(run(), "stereo"));  // they had not been kept
     EXPECT_TRUE(Job::reused(run(), "stereo"));
     EXPECT_EQ(read_text(folder / "out/mesh.ply"), mesh);
@@ -1242,15 +1242,15 @@ TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
         }
     ASSERT_GT(off.size(), 1000u);
     EXPECT_LT(median(off), 0.01);
-    o.stereo_maps = false;
+    o.stereo.maps = false;
     run();
     EXPECT_FALSE(fs::exists(folder / "out/depth/0.depth.tiff"));
     EXPECT_TRUE(fs::exists(folder / "out/depth/mine.txt"));
-    o.color_leave_out = 2;  // views that are held back are held back from depths, too
+    o.color.leave_out = 2;  // views that are held back are held back from depths, too
     EXPECT_FALSE(Job::reused(run(), "stereo"));
-    o.occupancy = true;
+    o.carve.occupancy = true;
     EXPECT_THROW(run(), UsageError);
-    o.occupancy = o.use_stereo = false;
+    o.carve.occupancy = o.stereo.on = false;
     EXPECT_NE(run()["warnings"].dump().find("nothing without --stereo on"), std::string::npos);  // a result's config.toml may say --stereo-scale
     EXPECT_FALSE(fs::exists(folder / "out/stereo.png"));
 }
@@ -1269,16 +1269,16 @@ TEST(Pipeline, CamerasOfStereoAreRefinedByTexture) {
     ReconstructOptions o;
     o.views.scene = folder / "scene";
     o.views.cameras = "none";
-    o.output = folder / "out";
-    o.resolution = 48;
-    o.mesh_formats = {"ply"};
-    o.report = false;
-    o.last_stage = LastStage::Align;
+    o.run.output = folder / "out";
+    o.grid.resolution = 48;
+    o.result.mesh_formats = {"ply"};
+    o.result.report = false;
+    o.run.last_stage = LastStage::Align;
     std::vector<Vec3d> points;
     for (size_t n = 0; n < scene.truth.vertices.size(); n += 50)
         points.emplace_back(scene.truth.vertices[n][0], scene.truth.vertices[n][1], scene.truth.vertices[n][2]);
     const auto error_px = [&](bool stereo, size_t fewest_tracks) {
-        o.use_stereo = stereo;
+        o.stereo.on = stereo;
         EXPECT_GE(json::parse(reconstruct(o, quiet).report_json)["align"]["features"]["count"].get<size_t>(), fewest_tracks);
         ViewsOptions found;
         found.scene = folder / "scene";
@@ -1308,13 +1308,13 @@ TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {
     }
     ReconstructOptions o;
     o.views.scene = folder / "scene";
-    o.mesh_formats = {"ply"};
-    o.color.mode = ColorMode::None;
-    o.resolution = 96;
+    o.result.mesh_formats = {"ply"};
+    o.color.options.mode = ColorMode::None;
+    o.grid.resolution = 96;
     o.views.up = "z";
     const auto volume = [&](const char* out, const std::function<void(ReconstructOptions&)>& choose) {
         ReconstructOptions chosen = o;
-        chosen.output = folder / out;
+        chosen.run.output = folder / out;
         choose(chosen);
         Progress progress;
         return json::parse(reconstruct(chosen, progress).report_json);
@@ -1333,7 +1333,7 @@ TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {
     });
     const json floor = volume("floor", [&](ReconstructOptions& c) {
         plates(c);
-        c.floor_from = ReconstructOptions::FloorFrom::Found;
+        c.floor.from = FloorOptions::From::Found;
     });
     const double true_volume = clean["mesh"]["volume"], kept = floor["mesh"]["volume"];
     EXPECT_GT(dirty["mesh"]["volume"].get<double>(), 1.05 * true_volume);
@@ -1344,7 +1344,7 @@ TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {
     EXPECT_TRUE(floor["mesh"]["manifold"]);
     // Silhouettes alone show the lowest contour.
     const json contour = volume("contour", [](ReconstructOptions& c) {
-        c.floor_from = ReconstructOptions::FloorFrom::Found;
+        c.floor.from = FloorOptions::From::Found;
         c.views.images = c.views.scene / "masks";
     });
     EXPECT_EQ(contour["floor"]["from"], "lowest contour");
@@ -1352,14 +1352,14 @@ TEST(Pipeline, TheTableIsFoundAndWhatLiesOnItGoes) {
     EXPECT_NEAR(contour["mesh"]["volume"].get<double>(), true_volume, 0.03 * true_volume);
     // A height that is given; one above everything leaves nothing.
     const json given = volume("given", [&](ReconstructOptions& c) {
-        c.floor_from = ReconstructOptions::FloorFrom::Given;
-        c.floor = 0.5 * (foot + top);
+        c.floor.from = FloorOptions::From::Given;
+        c.floor.height = 0.5 * (foot + top);
     });
     EXPECT_LT(given["mesh"]["volume"].get<double>(), 0.9 * true_volume);
     error_of(ExitCode::Input, [&] {
         volume("nothing", [&](ReconstructOptions& c) {
-            c.floor_from = ReconstructOptions::FloorFrom::Given;
-            c.floor = top + 1;
+            c.floor.from = FloorOptions::From::Given;
+            c.floor.height = top + 1;
         });
     });
 }
@@ -1486,8 +1486,8 @@ TEST(Synthetic, HardShootsStayConsistent) {
         write_scene(scene, folder / "scene");
         ReconstructOptions o;
         o.views.scene = folder / "scene";
-        o.output = folder / "out";
-        o.resolution = 96;
+        o.run.output = folder / "out";
+        o.grid.resolution = 96;
         const Reconstruction r = reconstruct(o, quiet);
         EXPECT_GT(r.minimum_iou, 0.975) << v.name;
         EXPECT_TRUE(r.mesh.manifold) << v.name;

@@ -34,8 +34,8 @@ TEST_P(Real, BecomesAClosedMeshThatFitsItsSilhouettes) {
     TemporaryFolder folder;
     ReconstructOptions o;
     o.views.scene = scene;
-    o.output = folder / "out";
-    o.resolution = 160;
+    o.run.output = folder / "out";
+    o.grid.resolution = 160;
     GetParam().change(o);
     Progress quiet;
     const Reconstruction r = reconstruct(o, quiet);
@@ -61,7 +61,7 @@ INSTANTIATE_TEST_SUITE_P(Sets, Real,
                                              [](ReconstructOptions& o) {
                                                  o.align.method = AlignMethod::Mat;
                                                  o.align.mat = read_mat("grid:5x7:0.035:0.005:6X6_250");
-                                                 o.align_again = true;
+                                                 o.cameras.find_again = true;
                                                  o.mask.masks = "silhouette";
                                              },
                                              0.97, 0.95},

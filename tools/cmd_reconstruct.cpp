@@ -99,21 +99,21 @@ void read_raw(Raw& raw) {
     ReconstructOptions& o = raw.options;
     if (!raw.bounds.empty()) {
         const auto b = numbers("--bounds", raw.bounds, 6);
-        o.bounds = Box3d();
-        o.bounds->min() = Vec3d(b[0], b[1], b[2]);
-        o.bounds->max() = Vec3d(b[3], b[4], b[5]);
+        o.grid.bounds = Box3d();
+        o.grid.bounds->min() = Vec3d(b[0], b[1], b[2]);
+        o.grid.bounds->max() = Vec3d(b[3], b[4], b[5]);
     }
     if (!raw.grid.empty()) {
         const auto g = numbers("--grid", raw.grid, 3, 'x');
         for (double d : g)
             if (d != std::floor(d) || d < 1 || d > 65536) throw UsageError("--grid " + raw.grid + ": sides must be whole numbers within 1..65536");
-        o.grid = {static_cast<int>(g[0]), static_cast<int>(g[1]), static_cast<int>(g[2])};
+        o.grid.dims = {static_cast<int>(g[0]), static_cast<int>(g[1]), static_cast<int>(g[2])};
     }
     if (!raw.origin.empty()) {
         const auto p = numbers("--origin", raw.origin, 3);
-        o.origin = Vec3d(p[0], p[1], p[2]);
+        o.grid.origin = Vec3d(p[0], p[1], p[2]);
     }
-    if (raw.pass_band > 0) o.smooth.mu = mu_for(o.smooth.lambda, raw.pass_band);
+    if (raw.pass_band > 0) o.smooth.factors.mu = mu_for(o.smooth.factors.lambda, raw.pass_band);
     if (!raw.video_range.empty()) {
         if (std::count(raw.video_range.begin(), raw.video_range.end(), ',') != 1)
             throw UsageError("--video-range " + raw.video_range + ": FROM,TO in seconds is expected, like 2,14.5");
@@ -281,7 +281,7 @@ void add_alignment(CLI::App& app, Raw& raw) {
                raw.options.align.method = one_of<AlignMethod>(
                    "--method", text,
                    {{"coherence", AlignMethod::Coherence}, {"refine", AlignMethod::Refine}, {"mat", AlignMethod::Mat}, {"paper", AlignMethod::Paper}});
-               raw.options.align_again = true;
+               raw.options.cameras.find_again = true;
            },
            "how cameras are found: coherence (of silhouettes, from an orbit; default), refine (silhouettes and texture, from the camera file's), mat (markers "
            "under the object, see board), paper (Denkowski 2013, for comparison)")
@@ -341,7 +341,7 @@ void add_alignment(CLI::App& app, Raw& raw) {
         ->capture_default_str()
         ->check(CLI::Range(0, 20))
         ->group(group);
-    app.add_flag("--accept-unobservable", raw.options.accept_unobservable, "go on with cameras that the silhouettes do not determine")->group(group);
+    app.add_flag("--accept-unobservable", raw.options.cameras.accept_unobservable, "go on with cameras that the silhouettes do not determine")->group(group);
 }
 
 /// For the log and, where it is asked for, as JSON.
@@ -358,22 +358,22 @@ void say_stage(const std::string& event, bool json) {
 
 void say_result(const Reconstruction& result, const ReconstructOptions& options, bool json) {
     if (json) {
-        if (!result.contradiction.empty() && !options.dry_run)
+        if (!result.contradiction.empty() && !options.run.dry_run)
             std::cout << nlohmann::json{{"event", "error"}, {"exit_code", static_cast<int>(ExitCode::Contradiction)}, {"text", result.contradiction}}.dump()
                       << std::endl;
         std::string line = result.report_json;
         line.erase(std::remove(line.begin(), line.end(), '\n'), line.end());
         std::cout << line << std::endl;
-    } else if (options.dry_run) {
+    } else if (options.run.dry_run) {
         std::cout << result.report_json;
     }
-    if (options.dry_run) return;
-    if (options.last_stage == LastStage::Export)
+    if (options.run.dry_run) return;
+    if (options.run.last_stage == LastStage::Export)
         spdlog::info("mesh: {} vertices, {} faces, {}{}, genus {}, volume {:.6g}; silhouette IoU median {:.4f}, minimum {:.4f}", result.mesh.vertices,
                      result.mesh.faces, result.mesh.manifold ? "closed manifold" : "NOT a closed manifold",
                      result.mesh.components > 1 ? " in " + std::to_string(result.mesh.components) + " pieces" : std::string(), result.mesh.genus,
                      result.mesh.volume, result.median_iou, result.minimum_iou);
-    spdlog::info("result in {}", options.output.string());
+    spdlog::info("result in {}", options.run.output.string());
 }
 
 /// What watch has besides.
@@ -396,14 +396,14 @@ void add_watch_options(CLI::App& app, WatchOptions& w) {
 Command add(CLI::App& program, const char* name, const char* what, LastStage last, const char* example, bool live = false) {
     auto raw = std::make_shared<Raw>();
     ReconstructOptions& o = raw->options;
-    o.last_stage = last;
+    o.run.last_stage = last;
     CLI::App* app = program.add_subcommand(name, what);
     app->fallthrough();
     app->add_option("scene", o.views.scene,
                     live ? "folder that photographs arrive in (images/, or directly), with a camera file of all views to come, and masks/ where masks are files"
                          : "folder with images/ (or photos directly in it), masks/ and a camera file; or a film (.mp4, .mov, …)")
         ->required();
-    app->add_option("-o,--output", o.output, "folder for the result")->required();
+    app->add_option("-o,--output", o.run.output, "folder for the result")->required();
 
     add_scene_options(*app, o.views, o.mask);
     if (last != LastStage::Mask && last != LastStage::Align)
@@ -416,47 +416,47 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     if (!live) app->add_option("--video-range", raw->video_range, "FROM,TO: seconds of the film that are looked at (default: all)")->group("Scene");
     if (last != LastStage::Mask) add_alignment(*app, *raw);
     app->footer(example);
-    if (last == LastStage::Align) o.align_again = true;
+    if (last == LastStage::Align) o.cameras.find_again = true;
     if (last == LastStage::Carve || last == LastStage::Export) {
-        app->add_option("--resolution", o.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")
+        app->add_option("--resolution", o.grid.resolution, "voxels along the longest side of the bounds (default: one for a pixel, 64..1024)")
             ->check(above_zero())
             ->group("Grid");
-        app->add_option("--voxel-size", o.voxel_size, "edge of a voxel, scene units")->check(above_zero())->group("Grid");
+        app->add_option("--voxel-size", o.grid.voxel_size, "edge of a voxel, scene units")->check(above_zero())->group("Grid");
         app->add_option("--grid", raw->grid, "voxels along x, y and z, like 1024x512x1024")->group("Grid");
         app->add_option("--bounds", raw->bounds, "xmin,ymin,zmin,xmax,ymax,zmax: clip to this box (default: found from the silhouettes)")->group("Grid");
         app->add_option("--origin", raw->origin, "x,y,z of the voxel lattice's corner (default 0,0,0)")->group("Grid");
-        app->add_option("--max-misses", o.max_misses, "so many views may show background and a voxel stays")
+        app->add_option("--max-misses", o.carve.max_misses, "so many views may show background and a voxel stays")
             ->capture_default_str()
             ->check(CLI::Range(0, 15))
             ->group("Carving");
-        app->add_option("--min-seen", o.min_seen, "share of the views that must have a point in frame")
+        app->add_option("--min-seen", o.carve.min_seen, "share of the views that must have a point in frame")
             ->capture_default_str()
             ->check(CLI::Range(0.0, 1.0))
             ->group("Carving");
-        add_choice<bool>(*app, "--outside", o.outside_is_background, {{"unknown", false}, {"background", true}},
+        add_choice<bool>(*app, "--outside", o.carve.outside_is_background, {{"unknown", false}, {"background", true}},
                          "what lies outside an image: unknown (default) or background (the paper)")
             ->group("Carving");
-        app->add_option("--silhouette-offset", o.distance.silhouette_offset_px, "grow silhouettes by so many pixels")->capture_default_str()->group("Carving");
+        app->add_option("--silhouette-offset", o.carve.silhouette_offset_px, "grow silhouettes by so many pixels")->capture_default_str()->group("Carving");
         app->add_option_function<std::string>(
                "--field-scale",
                [raw](const std::string& text) {
                    const double value = text == "auto" ? 0 : numbers("--field-scale", text, 1)[0];
-                   raw->options.field_scale = static_cast<int>(std::min(value, 1e6));
+                   raw->options.carve.field_scale = static_cast<int>(std::min(value, 1e6));
                    if (text != "auto" && (value < 1 || value > 1e6 || value != std::floor(value)))
                        throw UsageError("--field-scale " + text + ": must be auto or a whole number >= 1");
                },
                "pixels a side of a distance field's sample: auto (at least 2.5 samples to a voxel) or 1, 2, 4 …")
             ->default_str("auto")
             ->group("Carving");
-        app->add_flag("--occupancy", o.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
-        add_choice<Backend>(*app, "--backend", o.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}},
+        app->add_flag("--occupancy", o.carve.occupancy, "the paper's binary model: nearest pixel, one bit a voxel")->group("Carving");
+        add_choice<Backend>(*app, "--backend", o.run.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}},
                             "auto (a GPU where there is one), cpu or cuda; the result is the same")
             ->group("Carving");
-        app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more())->group("Carving");
+        app->add_option("--device", o.run.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more())->group("Carving");
         app->add_option_function<std::string>(
-            "--memory-limit", [raw](const std::string& text) { raw->options.memory_limit = bytes_of("--memory-limit", text); },
+            "--memory-limit", [raw](const std::string& text) { raw->options.run.memory_limit = bytes_of("--memory-limit", text); },
             "resident memory that may be used, like 8G or 500M (default: nine tenths of the machine's)");
-        if (!live) app->add_flag("--dry-run", o.dry_run, "plan only: views, bounds, grid, memory");
+        if (!live) app->add_flag("--dry-run", o.run.dry_run, "plan only: views, bounds, grid, memory");
         app->add_option("--add", o.views.added,
                         live ? "SCENE2: its views are taken too, of the same world; once for each scene"
                              : "SCENE2: its views are taken too, of the same world; where OUT holds a result already, its bounds and voxels are kept and its "
@@ -467,140 +467,143 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     }
     if (live) add_watch_options(*app, raw->watch);
     if (last == LastStage::Export) {
-        add_choice<Mesher>(*app, "--mesher", o.mesher, {{"dual", Mesher::Dual}, {"marching-cubes", Mesher::MarchingCubes}},
+        add_choice<Mesher>(*app, "--mesher", o.mesh.mesher, {{"dual", Mesher::Dual}, {"marching-cubes", Mesher::MarchingCubes}},
                            "dual (OpenVDB's, default) or marching-cubes")
             ->group("Result");
-        app->add_flag("--normals", o.normals, "vertex normals from the volume's gradient, in mesh.ply (--mesher marching-cubes)")->group("Result");
-        app->add_option("--adaptivity", o.adaptivity, "0: uniform mesh; up to 1: larger faces where flat")
+        app->add_flag("--normals", o.mesh.normals, "vertex normals from the volume's gradient, in mesh.ply (--mesher marching-cubes)")->group("Result");
+        app->add_option("--adaptivity", o.mesh.adaptivity, "0: uniform mesh; up to 1: larger faces where flat")
             ->capture_default_str()
             ->check(CLI::Range(0.0, 1.0))
             ->group("Result");
-        add_choice<ColorMode>(*app, "--color", o.color.mode, {{"none", ColorMode::None}, {"best", ColorMode::Best}, {"blend", ColorMode::Blend}},
+        add_choice<ColorMode>(*app, "--color", o.color.options.mode, {{"none", ColorMode::None}, {"best", ColorMode::Best}, {"blend", ColorMode::Blend}},
                               "blend (default): three views that see the place, weighted; best: the one most in front (the paper); none")
             ->group("Colour");
         add_choice<bool>(
-            *app, "--color-source", o.color_from_photos, {{"volume", false}, {"images", true}},
+            *app, "--color-source", o.color.from_photos, {{"volume", false}, {"images", true}},
             "vertex colours from the volume (default: mesh and volume agree), or from the images vertex by vertex (sharper where voxels are coarse)")
             ->group("Colour");
-        app->add_option("--color-depth", o.color.depth_vox, "layers of voxels, from the surface inwards, that get colour")
+        app->add_option("--color-depth", o.color.options.depth_vox, "layers of voxels, from the surface inwards, that get colour")
             ->capture_default_str()
             ->check(CLI::Range(1, 1000))
             ->group("Colour");
         app->add_option_function<std::string>(
                "--exposure",
                [raw](const std::string& text) {
-                   raw->options.color.exposure = text != "none";
-                   raw->options.color.exposure_options.per_channel = text == "channels";
+                   raw->options.color.options.exposure = text != "none";
+                   raw->options.color.options.exposure_options.per_channel = text == "channels";
                },
                "gain (default): even out the photographs' exposures; channels: their white balance too; none")
             ->check(CLI::IsMember({"gain", "channels", "none"}))
             ->default_str("gain")
             ->group("Colour");
-        app->add_option("--color-leave-out", o.color_leave_out, "every N-th view gives no colour, for evaluate --photos to compare with (0: all give)")
+        app->add_option("--color-leave-out", o.color.leave_out, "every N-th view gives no colour, for evaluate --photos to compare with (0: all give)")
             ->capture_default_str()
             ->check(CLI::Range(0, 1000))
             ->group("Colour");
         app->add_option_function<std::vector<std::string>>(
                "--color-grids",
                [raw](const std::vector<std::string>& names) {
-                   for (const std::string& n : names) (n == "views" ? raw->options.views_grid : raw->options.confidence_grid) = true;
+                   for (const std::string& n : names) (n == "views" ? raw->options.result.views_grid : raw->options.result.confidence_grid) = true;
                },
                "further grids for volume.vdb: views (how many were blended, 0: made up), confidence")
             ->delimiter(',')
             ->check(CLI::IsMember({"views", "confidence"}))
             ->group("Colour");
-        app->add_option("--color-normal-radius", o.color.normal_radius_vox,
+        app->add_option("--color-normal-radius", o.color.options.normal_radius_vox,
                         "the paper's normals, from a window of so many voxels (default: the level set's; 3 with --occupancy)")
             ->check(CLI::Range(1, kMaxNormalRadius_vox))
             ->group("Colour");
-        add_choice<bool>(*app, "--color-occlusion", o.color.test_occlusion, {{"on", true}, {"off", false}},
+        add_choice<bool>(*app, "--color-occlusion", o.color.options.test_occlusion, {{"on", true}, {"off", false}},
                          "off: hidden surfaces take the colour of what stands before them, as in the paper")
             ->group("Colour");
-        app->add_flag("--paper", o.color.skip_upright,
+        app->add_flag("--paper", o.color.options.skip_upright,
                       "with --color best: faces that look straight up or down (within 2.6 degrees) are left to the fill (the paper's listing 4.2)")
             ->group("Colour");
-        add_choice<bool>(*app, "--stereo", o.use_stereo, {{"off", false}, {"on", true}},
+        add_choice<bool>(*app, "--stereo", o.stereo.on, {{"off", false}, {"on", true}},
                          "on: carve what silhouettes cannot see (concavities) by the photographs' depths, inside the hull; needs texture, and every place seen "
                          "by three photographs 8 to 40 degrees apart. off (default)")
             ->group("Stereo");
-        app->add_option("--stereo-scale", o.stereo.scale, "photographs are compared at 1/N of their size: 1 finest and slowest; 0: 1 on a GPU, 2 on a CPU")
+        app->add_option("--stereo-scale", o.stereo.options.scale,
+                        "photographs are compared at 1/N of their size: 1 finest and slowest; 0: 1 on a GPU, 2 on a CPU")
             ->capture_default_str()
             ->check(CLI::Range(0, 16))
             ->group("Stereo");
-        app->add_option("--stereo-depth", o.stereo.depth_share, "how deep behind the hull depths are searched, as a share of the object's size")
+        app->add_option("--stereo-depth", o.stereo.options.depth_share, "how deep behind the hull depths are searched, as a share of the object's size")
             ->capture_default_str()
             ->check(CLI::Range(0.01, 1.0))
             ->group("Stereo");
-        app->add_flag("--stereo-maps", o.stereo_maps,
+        app->add_flag("--stereo-maps", o.stereo.maps,
                       "OUT/depth gets every view's depths (32-bit float .tiff, along the camera's z, 0: none) and how sure they are (.png)")
             ->group("Stereo");
-        app->add_option("--stereo-levels", o.stereo.levels, "sizes of photographs that are compared, each half of the one before")
+        app->add_option("--stereo-levels", o.stereo.options.levels, "sizes of photographs that are compared, each half of the one before")
             ->capture_default_str()
             ->check(CLI::Range(1, 4))
             ->group("Stereo");
         app->add_option_function<std::string>(
                "--filter",
                [raw](const std::string& text) {
-                   raw->options.filters.reset();
-                   if (text != "auto") raw->options.filters = parse_filters(text);
+                   raw->options.filter.steps.reset();
+                   if (text != "auto") raw->options.filter.steps = parse_filters(text);
                },
                "NAME[:WIDTH][xITERATIONS],…: median, mean-curvature, laplacian, gaussian, edge-preserving; none; auto: none for soft masks, edge-preserving:2 "
                "for hard ones, :2x4 for --occupancy")
             ->default_str("auto")
             ->group("Filter");
         app->add_flag_function(
-               "--no-volume-repair", [raw](int64_t count) { raw->options.repair_volume = count <= 0; }, "leave the volume as the filter leaves it")
+               "--no-volume-repair", [raw](int64_t count) { raw->options.filter.repair_volume = count <= 0; }, "leave the volume as the filter leaves it")
             ->group("Filter");
-        app->add_option("--keep-thin", o.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")
+        app->add_option("--keep-thin", o.filter.keep_thin_vox, "parts thinner than so many voxels are not filtered (0: all are)")
             ->capture_default_str()
             ->check(zero_or_more())
             ->group("Filter");
-        add_choice<bool>(*app, "--base", o.flat_base, {{"hull", false}, {"flat", true}},
+        add_choice<bool>(*app, "--base", o.floor.flat_base, {{"hull", false}, {"flat", true}},
                          "the foot: hull (default; bulges where only slanted views bound it) or flat, cut where the lowest contour was seen (needs an up axis)")
             ->group("Result");
-        app->add_option("--cap-tolerance", o.cap_tolerance,
+        app->add_option("--cap-tolerance", o.floor.cap_tolerance,
                         "surface farther beyond the highest and lowest contours seen counts as extrapolated, scene units (default: 2 voxels)")
             ->check(zero_or_more())
             ->group("Result");
-        app->add_flag("--quads", o.quads, "keep quads in .ply and .obj (--mesher dual)")->group("Mesh");
-        app->add_option("--min-piece", o.min_piece_share, "pieces with less of the mesh's volume are left out, as a share")
+        app->add_flag("--quads", o.mesh.quads, "keep quads in .ply and .obj (--mesher dual)")->group("Mesh");
+        app->add_option("--min-piece", o.mesh.min_piece_share, "pieces with less of the mesh's volume are left out, as a share")
             ->capture_default_str()
             ->check(CLI::Range(0.0, 1.0))
             ->group("Mesh");
         app->add_option_function<std::string>(
                "--smooth",
                [raw](const std::string& text) {
-                   raw->options.smooth_iterations.reset();
-                   if (text != "auto") raw->options.smooth_iterations = static_cast<int>(numbers("--smooth", text, 1)[0]);
+                   raw->options.smooth.iterations.reset();
+                   if (text != "auto") raw->options.smooth.iterations = static_cast<int>(numbers("--smooth", text, 1)[0]);
                },
                "iterations of Taubin's smoothing; auto: 0, or 10 with --occupancy --filter none")
             ->default_str("auto")
             ->group("Mesh");
-        app->add_option("--smooth-lambda", o.smooth.lambda, "its shrinking factor")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
-        app->add_option("--smooth-mu", o.smooth.mu, "its growing factor, less than the other's negative")
+        app->add_option("--smooth-lambda", o.smooth.factors.lambda, "its shrinking factor")->capture_default_str()->check(CLI::Range(0.0, 1.0))->group("Mesh");
+        app->add_option("--smooth-mu", o.smooth.factors.mu, "its growing factor, less than the other's negative")
             ->capture_default_str()
             ->check(CLI::Range(-2.0, 0.0))
             ->group("Mesh");
         app->add_option("--smooth-pass-band", raw->pass_band, "the same by the frequency that passes, 1/lambda + 1/mu (0.1; 0: by --smooth-mu)")
             ->check(zero_or_more())
             ->group("Mesh");
-        app->add_option("--faces", o.faces, "decimate to so many faces (0: no)")->check(CLI::Range(0, 2000000000))->group("Mesh");
-        app->add_option("--max-error", o.max_error, "decimate as far as no point moves by more, scene units (0: no)")->check(zero_or_more())->group("Mesh");
-        add_dcc_option(*app, o.dcc);
-        app->add_flag("--vdb-half", o.vdb_half, "16-bit floats in volume.vdb: two thirds of the size, three digits")->group("Result");
-        app->add_flag("--stl-mm", o.stl_mm, "mesh.stl in millimetres, for printers (needs --units, or a scene that says them)")->group("Result");
+        app->add_option("--faces", o.smooth.faces, "decimate to so many faces (0: no)")->check(CLI::Range(0, 2000000000))->group("Mesh");
+        app->add_option("--max-error", o.smooth.max_error, "decimate as far as no point moves by more, scene units (0: no)")
+            ->check(zero_or_more())
+            ->group("Mesh");
+        add_dcc_option(*app, o.result.dcc);
+        app->add_flag("--vdb-half", o.result.vdb_half, "16-bit floats in volume.vdb: two thirds of the size, three digits")->group("Result");
+        app->add_flag("--stl-mm", o.result.stl_mm, "mesh.stl in millimetres, for printers (needs --units, or a scene that says them)")->group("Result");
         app->add_flag_function(
-               "--no-report", [&o](int64_t count) { o.report = count <= 0; }, "no report.html")
+               "--no-report", [&o](int64_t count) { o.result.report = count <= 0; }, "no report.html")
             ->group("Result");
-        app->add_option("--mesh-formats", o.mesh_formats, "ply,obj,glb,stl")->delimiter(',')->capture_default_str()->group("Result");
+        app->add_option("--mesh-formats", o.result.mesh_formats, "ply,obj,glb,stl")->delimiter(',')->capture_default_str()->group("Result");
     }
     if (last != LastStage::Mask) {
         app->add_option_function<std::string>(
                "--floor",
                [raw](const std::string& text) {
-                   raw->options.floor_from = text == "auto" ? ReconstructOptions::FloorFrom::Found : ReconstructOptions::FloorFrom::Given;
+                   raw->options.floor.from = text == "auto" ? FloorOptions::From::Found : FloorOptions::From::Given;
                    try {
-                       if (text != "auto") raw->options.floor = numbers("--floor", text, 1)[0];
+                       if (text != "auto") raw->options.floor.height = numbers("--floor", text, 1)[0];
                    } catch (const UsageError&) {
                        throw UsageError("--floor " + text + ": must be auto or a height, a number along the up axis");
                    }
@@ -610,7 +613,7 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
             ->type_name("auto|HEIGHT")
             ->group("Result");
         if (last == LastStage::Export)
-            app->add_option("--floor-clear", o.floor_clear,
+            app->add_option("--floor-clear", o.floor.clear,
                             "what a flat patch on the floor makes in the hull is no part of the object (contact shadows); so much higher is allowed for, scene "
                             "units (default: 1 % of the height with --floor; 0: nothing is cleared)")
                 ->check(zero_or_more())
@@ -618,13 +621,13 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
     }
     app->add_option("--up", o.views.up, "world up axis: x, y, z, -x, -y, -z")->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}))->group("Result");
     app->add_option("--units", o.views.units, "length unit of the scene: m, cm, mm, km, inch, ft")->group("Result");
-    app->add_flag("--force", o.force, "write into a folder that vdbcarve did not make");
+    app->add_flag("--force", o.run.force, "write into a folder that vdbcarve did not make");
     app->add_flag("--resume", raw->resume, "go on where a run stopped (always so: finished stages are never redone)");
     return {app, [raw, app, live, &program](Common& common, Progress& progress) {
                 read_raw(*raw);
                 ReconstructOptions& options = raw->options;
                 const bool json = common.json == "-";
-                options.on_stage = [&](const std::string& event) { say_stage(event, json); };
+                options.run.on_stage = [&](const std::string& event) { say_stage(event, json); };
                 if (live) {
                     // What it makes is a result of reconstruct, which its stages can be done anew from.
                     std::istringstream lines(config_of(program, app->get_name(), "reconstruct"));
@@ -632,12 +635,12 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                         const std::string option = line.substr(0, line.find('='));
                         if (option != "reconstruct.first-views" && option != "reconstruct.until" && option != "reconstruct.idle" &&
                             option != "reconstruct.settle" && option != "reconstruct.add")
-                            options.config_text += line + "\n";
+                            options.run.config_text += line + "\n";
                     }
                     std::string added = "\"" + options.views.scene.string() + "\"";
                     for (const auto& scene : options.views.added) added += ", \"" + scene.string() + "\"";
-                    options.config_text += "reconstruct.add=[" + added + "]\n";
-                    if (!options.mask.allow_missing) options.config_text += "reconstruct.allow-missing=true\n";
+                    options.run.config_text += "reconstruct.add=[" + added + "]\n";
+                    if (!options.mask.allow_missing) options.run.config_text += "reconstruct.allow-missing=true\n";
                     raw->watch.reconstruct = options;
                     raw->watch.on_result = [&](const Reconstruction& result) {
                         say_result(result, options, json);
@@ -647,11 +650,11 @@ Command add(CLI::App& program, const char* name, const char* what, LastStage las
                     if (!last.contradiction.empty()) throw ContradictionError(last.contradiction);
                     return 0;
                 }
-                options.config_text = config_of(program, app->get_name(), app->get_name());
+                options.run.config_text = config_of(program, app->get_name(), app->get_name());
                 const Reconstruction result = reconstruct(options, progress);
                 say_result(result, options, json);
                 common.report_said = true;
-                if (!result.contradiction.empty() && !options.dry_run) throw ContradictionError(result.contradiction);
+                if (!result.contradiction.empty() && !options.run.dry_run) throw ContradictionError(result.contradiction);
                 return 0;
             }};
 }
