@@ -21,7 +21,7 @@
 #include "floor.h"
 #include "io_cameras.h"
 #include "io_image.h"
-#include "known_hull.h"
+#include "pipeline/known_hull.h"
 #include "mask_consensus.h"
 #include "memory.h"
 #include "same_transform.h"
