@@ -175,7 +175,7 @@ double wall_ms(const std::function<void()>& work) {
 }
 
 BenchDevice bench_device(const BenchScene& scene, const std::vector<MaskView>& masks, const std::vector<Image8>& binary, const CarveOptions& o,
-                         const BenchCase& c, const BenchOptions& options, DevicePipeline& device) {
+                         const BenchCase& c, const BenchOptions& options, Device& device) {
     Progress quiet;
     std::vector<CarveInput> inputs;
     for (size_t i = 0; i < scene.cameras.size(); ++i) inputs.push_back({std::to_string(i), scene.cameras[i], nullptr});
@@ -295,7 +295,7 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
                        : out.loops == "avx2" ? "-march=x86-64-v3"
                                              : "") +
                       ", TBB over slices, one byte a voxel and a mask pixel, nearest pixel, runs of 64 voxels left early";
-    std::optional<DevicePipeline> device;
+    std::optional<Device> device;
     if (options.backend == Backend::Cuda) {
         device.emplace(options.device);
         const DeviceInfo info = cuda_devices().at(static_cast<size_t>(options.device));

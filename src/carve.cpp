@@ -13,7 +13,6 @@
 
 #include "carve_plan.h"
 #include "same_transform.h"
-#include "vdbcarve/device.h"
 #include "vector_loops.h"
 
 namespace vdbcarve {
@@ -905,18 +904,6 @@ void measure_tree(CarveResult& result) {
 CarveResult carve(const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress) {
     for (const CarveInput& input : inputs)
         if (!input.field) throw UsageError("carve: view " + input.name + " has no distance field");
-    if (options.backend == Backend::Cuda) {
-        check_carve(inputs, options);
-        DevicePipeline device(options.device);
-        device.set_fields(inputs);
-        CarveResult result;
-        result.statistics = device.carve(inputs, options, progress);
-        result.backend_used = "cuda";
-        if (options.occupancy) result.occupancy = device.occupancy();
-        else result.hull = device.hull();
-        measure_tree(result);
-        return result;
-    }
     return run(inputs, inputs.size(), nullptr, options, progress);
 }
 

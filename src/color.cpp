@@ -10,7 +10,6 @@
 #include "color_plan.h"
 #include "leaf_neighbours.h"
 #include "nanovdb_bytes.h"
-#include "vdbcarve/device.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/kernel/color_fill.h"
 #include "vector_loops.h"
@@ -366,10 +365,7 @@ ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInpu
 ColorResult color_in_batches(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options,
                              Progress& progress) {
     check_color(surface, inputs, options);
-    if (options.backend != Backend::Cuda) return color_on_cpu(surface, inputs, photos, options, progress);
-    DevicePipeline device(options.device);
-    device.set_surface(surface);
-    return device.color(surface, inputs, photos, options, progress);
+    return color_on_cpu(surface, inputs, photos, options, progress);
 }
 
 size_t color_vertices(Mesh& mesh, const openvdb::Vec3SGrid& color) {

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/device.h"
 
-#if defined(VDBCARVE_WITH_CUDA)
-
 #include "color_plan.h"
 #include "device_parts.h"
 
@@ -34,8 +32,8 @@ class PhotoUpload {
 
 }  // namespace
 
-ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& source,
-                                  const ColorOptions& options, Progress& progress) {
+ColorResult Device::color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& source, const ColorOptions& options,
+                          Progress& progress) {
     Parts& p = *parts_;
     p.use();
     check_color(surface, inputs, options);
@@ -161,5 +159,3 @@ ColorResult DevicePipeline::color(const openvdb::FloatGrid& surface, const std::
 }
 
 }  // namespace vdbcarve
-
-#endif

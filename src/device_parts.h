@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a DevicePipeline holds. Included by its own sources only, and only where there is CUDA.
+// What a Device holds. Included by its own sources only, which are compiled where there is CUDA.
 #pragma once
 
 #include <tbb/parallel_for.h>
@@ -62,7 +62,7 @@ class Fetcher {
     cuda::Event arrived_[2];
 };
 
-struct DevicePipeline::Parts {
+struct Device::Parts {
     /// A level set that was carried here, or made by a stage: its grid and the topology it was built from.
     struct Volume {
         cuda::Grid grid;
@@ -109,7 +109,7 @@ struct DevicePipeline::Parts {
         VDBCARVE_CUDA(cudaSetDevice(d));
         return d;
     }
-    /// Another pipeline may have chosen another device for this thread.
+    /// Another session may have chosen another device for this thread.
     void use() const { VDBCARVE_CUDA(cudaSetDevice(device)); }
 
     kernel::FieldView view_of(const SampledField& header, const cuda::DeviceField& field) const {

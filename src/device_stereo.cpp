@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdbcarve/device.h"
 
-#if defined(VDBCARVE_WITH_CUDA)
-
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -57,8 +55,8 @@ FusedBlocks fuse_on_device(const FusionPlan& plan, cuda::StereoStage& stage, Fet
 
 }  // namespace
 
-StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
-                                    const StereoOptions& options, Progress& progress) {
+StereoResult Device::stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options,
+                            Progress& progress) {
     Parts& p = *parts_;
     p.use();
     check_stereo(surface, inputs, options);
@@ -132,5 +130,3 @@ StereoResult DevicePipeline::stereo(const openvdb::FloatGrid& surface, const std
 }
 
 }  // namespace vdbcarve
-
-#endif

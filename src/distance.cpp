@@ -8,7 +8,6 @@
 #include <string>
 
 #include "field_plan.h"
-#include "vdbcarve/device.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/kernel/distance.h"
 #include "vector_loops.h"
@@ -254,14 +253,6 @@ ImageF signed_distance(ImageView<uint8_t> m, int reach_px) {
 
 std::vector<DistanceField> distance_fields(const std::vector<MaskView>& masks, const DistanceOptions& options, Progress& progress) {
     check_distance(options);
-    if (options.backend == Backend::Cuda) {
-        progress.begin("distance", 1);
-        DevicePipeline device(options.device);
-        device.upload(masks);
-        device.distance(options);
-        progress.step();
-        return device.fields();
-    }
     std::vector<DistanceField> out(masks.size());
     progress.begin("distance", masks.size());
     tbb::parallel_for(size_t{0}, masks.size(), [&](size_t i) {

@@ -9,7 +9,6 @@
 
 #include "filter_plan.h"
 #include "leaf_neighbours.h"
-#include "vdbcarve/device.h"
 #include "vector_loops.h"
 
 namespace vdbcarve {
@@ -176,16 +175,6 @@ FilterResult filter(openvdb::FloatGrid::Ptr surface, const FilterOptions& option
         none.target = none.before_move = none.volume = volume_units(*surface);
         describe_volumes(out, none, surface->voxelSize()[0]);
         out.surface = std::move(surface);
-        return out;
-    }
-    if (options.backend == Backend::Cuda) {
-        DevicePipeline device(options.device);
-        device.set_surface(*surface);
-        out = device.filter(options, progress);
-        out.components_before = count_pieces(*surface);
-        out.surface = device.surface();
-        out.surface->openvdb::MetaMap::operator=(*surface);
-        out.components = count_pieces(*out.surface);
         return out;
     }
     auto start = std::chrono::steady_clock::now();

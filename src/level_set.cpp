@@ -16,7 +16,6 @@
 #include "inside_tiles.h"
 #include "leaf_neighbours.h"
 #include "redistance.h"
-#include "vdbcarve/device.h"
 #include "vdbcarve/kernel/level_set.h"
 #include "same_transform.h"
 #include "vector_loops.h"
@@ -62,13 +61,6 @@ void fill_halo(const std::array<int32_t, 6>& neighbours, const float* own, const
 openvdb::FloatGrid::Ptr level_set(openvdb::FloatGrid::Ptr hull, const LevelSetOptions& options, Progress& progress) {
     if (options.half_width_vox < 2 || options.half_width_vox > 100)
         throw UsageError("level_set: half-width is " + std::to_string(options.half_width_vox) + " voxels, must be 2..100");
-    if (options.backend == Backend::Cuda) {
-        progress.begin("level_set", 1);
-        DevicePipeline device(options.device);
-        device.set_hull(*hull);
-        device.level_set(options);
-        return device.surface();
-    }
     return redistance(std::move(hull), options.half_width_vox, nullptr, progress);
 }
 
@@ -199,16 +191,16 @@ openvdb::FloatGrid::Ptr redistance(openvdb::FloatGrid::Ptr hull, int half_width_
     return surface;
 }
 
-openvdb::FloatGrid::Ptr level_set_of_occupancy(const openvdb::MaskGrid& occupancy, const LevelSetOptions& options, Progress& progress) {
+openvdb::FloatGrid::Ptr halves_of_occupancy(const openvdb::MaskGrid& occupancy, int half_width_vox) {
     const auto voxel = static_cast<float>(occupancy.voxelSize()[0]);
-    const float band = static_cast<float>(options.half_width_vox) * voxel;
+    const float band = static_cast<float>(half_width_vox) * voxel;
     // Active tiles become voxels only near the border: dilate the voxelised mask's complement by topology.
     openvdb::FloatGrid::Ptr grid = openvdb::FloatGrid::create(band);
     grid->setTransform(same_transform(occupancy.transform()));
     openvdb::MaskTree wide(occupancy.tree());
-    openvdb::tools::dilateActiveValues(wide, options.half_width_vox, openvdb::tools::NN_FACE, openvdb::tools::EXPAND_TILES);
+    openvdb::tools::dilateActiveValues(wide, half_width_vox, openvdb::tools::NN_FACE, openvdb::tools::EXPAND_TILES);
     openvdb::MaskTree narrow(occupancy.tree());
-    openvdb::tools::erodeActiveValues(narrow, options.half_width_vox, openvdb::tools::NN_FACE, openvdb::tools::EXPAND_TILES);
+    openvdb::tools::erodeActiveValues(narrow, half_width_vox, openvdb::tools::NN_FACE, openvdb::tools::EXPAND_TILES);
     wide.topologyDifference(narrow);
     grid->tree().topologyUnion(wide);
     openvdb::tree::LeafManager<openvdb::FloatTree> leaves(grid->tree());
@@ -230,7 +222,11 @@ openvdb::FloatGrid::Ptr level_set_of_occupancy(const openvdb::MaskGrid& occupanc
     });
     grid->setGridClass(openvdb::GRID_LEVEL_SET);
     openvdb::tools::signedFloodFill(grid->tree());
-    return level_set(std::move(grid), options, progress);
+    return grid;
+}
+
+openvdb::FloatGrid::Ptr level_set_of_occupancy(const openvdb::MaskGrid& occupancy, const LevelSetOptions& options, Progress& progress) {
+    return level_set(halves_of_occupancy(occupancy, options.half_width_vox), options, progress);
 }
 
 openvdb::FloatGrid::Ptr density_of(const openvdb::FloatGrid& surface) {

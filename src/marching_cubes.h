@@ -11,6 +11,9 @@
 
 namespace vdbcarve {
 
+/// Throws UsageError for options of extract_mesh() that do not go together.
+void check_mesh(const MeshOptions& options);
+
 /// By which corners are inside, corner c as bit c.
 const std::array<kernel::MarchingCase, 256>& marching_cases();
 

@@ -15,7 +15,6 @@
 #include "inside_tiles.h"
 #include "marching_cubes.h"
 #include "same_transform.h"
-#include "vdbcarve/device.h"
 
 namespace vdbcarve {
 
@@ -182,28 +181,25 @@ bool has_flat_faces(const Mesh& mesh) {
 
 }  // namespace
 
-Mesh extract_mesh(const openvdb::FloatGrid& surface, const MeshOptions& options, Progress& progress) {
+void check_mesh(const MeshOptions& options) {
     if (!(options.adaptivity >= 0 && options.adaptivity <= 1)) throw UsageError("adaptivity is " + std::to_string(options.adaptivity) + ", must be 0..1");
+    const bool dual = options.mesher == Mesher::Dual;
+    if (options.quads && !dual) throw UsageError("mesh: quads are made by --mesher dual only");
+    if (options.normals && dual) throw UsageError("mesh: normals are made by --mesher marching-cubes only");
+    if (options.adaptivity > 0 && !dual) throw UsageError("mesh: --adaptivity is of --mesher dual; marching cubes has none");
+    if (options.pieces < 1 && dual) throw UsageError("mesh: " + std::to_string(options.pieces) + " slabs");
+    if (options.pieces > 1 && options.adaptivity > 0) throw UsageError("mesh: an adaptive mesh cannot be made in slabs");
+}
+
+Mesh extract_mesh(const openvdb::FloatGrid& surface, const MeshOptions& options, Progress& progress) {
+    check_mesh(options);
     progress.begin("mesh", 1);
-    if (options.quads && options.mesher != Mesher::Dual) throw UsageError("mesh: quads are made by --mesher dual only");
-    if (options.normals && options.mesher != Mesher::MarchingCubes) throw UsageError("mesh: normals are made by --mesher marching-cubes only");
     if (options.mesher == Mesher::MarchingCubes) {
-        if (options.adaptivity > 0) throw UsageError("mesh: --adaptivity is of --mesher dual; marching cubes has none");
-        Mesh mesh;
-        bool done = false;
-        if (options.backend == Backend::Cuda) {
-            DevicePipeline device(options.device);
-            device.set_surface(surface);
-            done = device.extract_mesh(options.normals);
-            if (done) mesh = device.fetch_mesh(options.normals);
-        }
-        if (!done) mesh = marching_cubes(surface, options.normals);
+        Mesh mesh = marching_cubes(surface, options.normals);
         if (mesh.vertices.empty()) throw InputError("mesh: the volume has no surface");
         progress.step();
         return mesh;
     }
-    if (options.pieces < 1) throw UsageError("mesh: " + std::to_string(options.pieces) + " slabs");
-    if (options.pieces > 1 && options.adaptivity > 0) throw UsageError("mesh: an adaptive mesh cannot be made in slabs");
     // volumeToMesh winds a grid of class level set clockwise seen from outside, any other class the other way.
     const bool flip = surface.getGridClass() == openvdb::GRID_LEVEL_SET;
     Mesh mesh = to_mesh(polygons_of(surface, options, false, progress), flip, options.quads);

@@ -3,7 +3,7 @@
 
 #include <openvdb/openvdb.h>
 
-#include "vdbcarve/device.h"
+#include "vdbcarve/nano_buffer.h"
 
 namespace vdbcarve {
 

@@ -18,6 +18,7 @@
 #include "camera_doubts.h"
 #include "carve_plan.h"
 #include "coarse_hull.h"
+#include "device_session.h"
 #include "floor.h"
 #include "io_cameras.h"
 #include "io_image.h"
@@ -33,7 +34,6 @@
 #include "vdbcarve/caps.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/decimate.h"
-#include "vdbcarve/device.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
@@ -217,13 +217,13 @@ class Job {
         stage_name_ = name;
         const auto start = std::chrono::steady_clock::now();
         reset_peak_memory();
-        stage_backend_ = Backend::Cpu;
+        if (device_) device_->begin_stage();
         const bool reused = work();
         peak_bytes_ = std::max(peak_bytes_, peak_memory_bytes());
         json entry{{"name", name},
                    {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()},
                    {"peak_rss_bytes", peak_memory_bytes()},
-                   {"backend", name_of(stage_backend_)},
+                   {"backend", name_of(device_ ? device_->used_last() : Backend::Cpu)},
                    {"reused", reused}};
         report_["stages"].push_back(entry);
         if (o_.run.on_stage) {
@@ -250,9 +250,7 @@ class Job {
     }
 
     void check_options() {
-        backend_ = choose_backend(o_.run.backend, o_.run.device);
-        if (o_.run.backend == Backend::Auto && backend_ == Backend::Cpu && o_.run.device != 0)
-            progress_.warn("--device " + std::to_string(o_.run.device) + " means nothing here: " + why_no_cuda());
+        device_.emplace(o_.run.backend, o_.run.device, progress_);
         std::string bad;
         const auto need = [&](bool ok, const std::string& what) {
             if (!ok) bad += (bad.empty() ? "" : "; ") + what;
@@ -1193,10 +1191,10 @@ class Job {
         if (o_.run.dry_run) return;
         find_known();
         if (known_whole()) return;
-        if (backend_ == Backend::Cuda && on_device("distance", [&] {
-                device_->upload(used_masks_);
-                device_->distance(field_options_);
-                device_->wait();
+        if (on_cuda() && on_device("distance", [&](Device& device) {
+                device.upload(used_masks_);
+                device.distance(field_options_);
+                device.wait();
             }))
             return;
         if (known_) {
@@ -1254,7 +1252,7 @@ class Job {
         known_ = find_known_hull(store_.folder(), base_key_, view_keys_);
         if (!known_ || known_whole()) return;  // of all of them: taken as it is
         // A device carves anew sooner than it is told of a hull; many new views, or fields that do not fit into memory together, are for a carve, too.
-        if (backend_ == Backend::Cuda || 2 * known_->views.size() < inputs_.size() || batch_ < inputs_.size()) {
+        if (on_cuda() || 2 * known_->views.size() < inputs_.size() || batch_ < inputs_.size()) {
             known_.reset();
             return;
         }
@@ -1274,24 +1272,14 @@ class Job {
         view_keys_ = in_order(view_keys_);
     }
 
-    /// Runs work on the device. Where that fails (for want of memory, most likely) and the device was not demanded, says so and
-    /// returns false: the CPU gives the same result.
+    bool on_cuda() const { return device_->backend() == Backend::Cuda; }
+
+    /// DeviceSession::run(). Where the device is left, memory is shared out for the CPU.
     template <class Work>
     bool on_device(const char* stage, const Work& work) {
-        try {
-            if (!device_) device_.emplace(o_.run.device);
-            work();
-            stage_backend_ = Backend::Cuda;
-            return true;
-        } catch (const BackendError& e) {
-            if (o_.run.backend == Backend::Cuda) throw;
-            progress_.note(std::string(stage) + ": " + e.what() + "; going on on the CPU, with the same result");
-            device_.reset();
-            backend_ = Backend::Cpu;
-            stage_backend_ = Backend::Cpu;
-            if (!inputs_.empty()) share_out_memory();
-            return false;
-        }
+        const bool was_there = on_cuda(), done = device_->run(stage, work);
+        if (was_there && !on_cuda() && !inputs_.empty()) share_out_memory();
+        return done;
     }
 
     // --------------------------------------------------------------------------------------- memory
@@ -1389,7 +1377,7 @@ class Job {
         field_bytes_ = fields;
         hull_bytes_ = o_.carve.occupancy ? 0 : hull;
         memory_limit_bytes_ = limit;
-        if (backend_ == Backend::Cuda && !o_.carve.occupancy && !fits_device(leaves)) return;
+        if (on_cuda() && !o_.carve.occupancy && !fits_device(leaves)) return;
         share_out_memory();
     }
 
@@ -1409,18 +1397,16 @@ class Job {
                                                     : 0) +
             (o_.mesh.mesher == Mesher::MarchingCubes ? kDeviceMeshPerLeaf : 0);
         double room = 0;
-        if (!on_device("carve", [&] { room = 0.95 * static_cast<double>(device_->free_bytes()) - base; })) return false;
+        if (!on_device("carve", [&](Device& device) { room = 0.95 * static_cast<double>(device.free_bytes()) - base; })) return false;
         if (leaves * per_leaf <= room) return true;
         const std::string needed = std::to_string((leaves * per_leaf + base) / 1e9).substr(0, 5) + " GB on the device, more than is free there";
         if (o_.run.last_stage == LastStage::Carve && room > 1e8) {
             device_bricks_ = static_cast<int>(std::ceil(leaves * per_leaf * 1.3 / room));
             return true;
         }
-        if (o_.run.backend == Backend::Cuda)
+        if (device_->demanded())
             throw BackendError("this resolution needs about " + needed + ". Remedy: --backend cpu, a lower --resolution, or `carve` alone, in bricks");
-        progress_.note("this resolution needs about " + needed + "; going on on the CPU, with the same result");
-        backend_ = Backend::Cpu;
-        device_.reset();
+        device_->leave("this resolution needs about " + needed);
         share_out_memory();
         return false;
     }
@@ -1428,10 +1414,10 @@ class Job {
     /// Batches of fields and bricks of the hull, so that the host keeps within the limit. On the device fields need no room here.
     void share_out_memory() {
         batch_ = inputs_.size();
-        bricks_ = backend_ == Backend::Cuda ? device_bricks_ : 1;
+        bricks_ = on_cuda() ? device_bricks_ : 1;
         if (memory_limit_bytes_ <= 0 || o_.carve.occupancy) return;  // the binary model is small: a bit a voxel
         const double resident = static_cast<double>(resident_memory_bytes()), limit = memory_limit_bytes_;
-        const double fields = backend_ == Backend::Cuda ? 0 : field_bytes_;
+        const double fields = on_cuda() ? 0 : field_bytes_;
         if (resident + kCarveBase + fields + hull_bytes_ <= limit) return;
         // Half of the room for fields, half for leaves.
         const double room = std::max(limit - resident - kCarveBase, 2e6);
@@ -1449,12 +1435,12 @@ class Job {
     CarveResult carve_part(const std::optional<IndexBox>& brick) {
         CarveOptions options = carve_;
         options.brick = brick;
-        if (backend_ == Backend::Cuda) {
+        if (on_cuda()) {
             CarveResult result;
-            if (on_device("carve", [&] {
-                    result.statistics = device_->carve(inputs_, options, progress_);
-                    if (options.occupancy) result.occupancy = device_->occupancy();
-                    else result.hull = device_->hull();
+            if (on_device("carve", [&](Device& device) {
+                    result.statistics = device.carve(inputs_, options, progress_);
+                    if (options.occupancy) result.occupancy = device.occupancy();
+                    else result.hull = device.hull();
                 })) {
                 result.backend_used = "cuda";
                 measure_tree(result);
@@ -1706,7 +1692,7 @@ class Job {
         if (bricks_ > 1) result.statistics = carve_bricks();
         else result = carve_part({});
         const CarveStatistics& s = result.statistics;
-        backend_used_ = bricks_ > 1 ? name_of(backend_) : result.backend_used;
+        backend_used_ = bricks_ > 1 ? name_of(device_->backend()) : result.backend_used;
         json& g = report_["grid"];
         g["active_voxels"] = s.active_voxels;
         g["leaves"] = s.leaves;
@@ -1767,12 +1753,12 @@ class Job {
             if (!occupancy_) occupancy_ = openvdb::gridPtrCast<openvdb::MaskGrid>(read_vdb(hull_file()).at(0));
             surface_ = level_set_of_occupancy(*occupancy_, options, progress_);
         } else {
-            const bool on_there = hull_ && device_;
+            const bool on_there = hull_ && device_->device();
             if (!hull_) hull_ = read_float_grid(hull_file(), "hull");
-            const bool done = backend_ == Backend::Cuda && on_device("level_set", [&] {
-                                  if (!on_there) device_->set_hull(*hull_);
-                                  device_->level_set(options);
-                                  surface_ = device_->surface();
+            const bool done = on_cuda() && on_device("level_set", [&](Device& device) {
+                                  if (!on_there) device.set_hull(*hull_);
+                                  device.level_set(options);
+                                  surface_ = device.surface();
                                   surface_on_device_ = true;
                               });
             if (!done) surface_ = level_set(std::move(hull_), options, progress_);
@@ -1854,7 +1840,6 @@ class Job {
         options.keep_thin_vox = std::min(o_.filter.keep_thin_vox, most_keep_thin_vox(o_.carve.half_width_vox));
         if (options.keep_thin_vox < o_.filter.keep_thin_vox && o_.filter.steps)
             progress_.note("--keep-thin is " + std::to_string(options.keep_thin_vox).substr(0, 4) + " voxels at most with this band");
-        options.device = o_.run.device;
         json& said = report_["filter"];
         if (o_.filter.steps) {
             options.steps = *o_.filter.steps;
@@ -1891,12 +1876,12 @@ class Job {
         }
         const size_t warnings_before = progress_.warnings().size();
         FilterResult result;
-        const bool done = backend_ == Backend::Cuda && on_device("filter", [&] {
-                              if (!surface_on_device_) device_->set_surface(*surface_);
+        const bool done = on_cuda() && on_device("filter", [&](Device& device) {
+                              if (!surface_on_device_) device.set_surface(*surface_);
                               surface_on_device_ = false;  // until it is whole again
-                              result = device_->filter(options, progress_);
+                              result = device.filter(options, progress_);
                               result.components_before = count_pieces(*surface_);
-                              surface_ = device_->surface();
+                              surface_ = device.surface();
                               surface_on_device_ = true;
                               result.components = count_pieces(*surface_);
                           });
@@ -1951,9 +1936,7 @@ class Job {
     bool carve_by_depth() {
         Sha256 h;
         StereoOptions options = o_.stereo.options;
-        options.backend = Backend::Cpu;
-        options.device = o_.run.device;
-        if (!options.scale) options.scale = backend_ == Backend::Cuda ? 1 : 2;
+        if (!options.scale) options.scale = on_cuda() ? 1 : 2;
         const StereoTrust& t = options.trust;
         h.add("stereo")
             .add_value(kCodeVersion)
@@ -2005,10 +1988,10 @@ class Job {
         check_stereo_memory(options);
         StereoResult result;
         const std::vector<ColorInput> inputs = color_inputs();
-        const bool done = backend_ == Backend::Cuda && on_device("stereo", [&] {
-                              if (!surface_on_device_) device_->set_surface(*surface_);
+        const bool done = on_cuda() && on_device("stereo", [&](Device& device) {
+                              if (!surface_on_device_) device.set_surface(*surface_);
                               surface_on_device_ = true;
-                              result = device_->stereo(*surface_, inputs, photo_source(), options, progress_);
+                              result = device.stereo(*surface_, inputs, photo_source(), options, progress_);
                           });
         if (!done) result = stereo(*surface_, inputs, photo_source(), options, progress_);
         const openvdb::FloatGrid::Ptr hull = std::exchange(surface_, result.surface);
@@ -2056,7 +2039,7 @@ class Job {
 
     /// Photographs and depths of all views are in memory at once.
     void check_stereo_memory(const StereoOptions& options) {
-        const bool gpu = backend_ == Backend::Cuda;  // keeps planes itself
+        const bool gpu = on_cuda();  // keeps planes itself
         const double pixels = largest_photo_bytes() / kPhotoBytesPerPixel, views = static_cast<double>(used_.size());
         const auto bytes_at = [&](int scale) {
             return views * pixels * (kPhotoBytesPerPixel + (gpu ? kStereoPerPixelBesideGpu : kStereoPerPixel) * 4 / 3 / (scale * scale));
@@ -2189,7 +2172,6 @@ class Job {
         ColorOptions options = o_.color.options;
         options.gains.clear();
         if (o_.carve.occupancy && options.normal_radius_vox == 0) options.normal_radius_vox = 3;
-        options.device = o_.run.device;
         const std::string& up = views_.up;
         if (!up.empty()) {
             options.up = Vec3d::Unit(up.back() - 'x');
@@ -2240,14 +2222,14 @@ class Job {
         ColorOptions options = color_options();
         ColorResult result;
         try {
-            const bool done = backend_ == Backend::Cuda && on_device("color", [&] {
-                                  if (!surface_on_device_) device_->set_surface(*surface_);
+            const bool done = on_cuda() && on_device("color", [&](Device& device) {
+                                  if (!surface_on_device_) device.set_surface(*surface_);
                                   surface_on_device_ = true;
                                   ColorOptions there = options;
-                                  const double room = 0.9 * static_cast<double>(device_->free_bytes()) -
-                                                      static_cast<double>(surface_->tree().leafCount()) * kDeviceColorPerLeaf;
+                                  const double room =
+                                      0.9 * static_cast<double>(device.free_bytes()) - static_cast<double>(surface_->tree().leafCount()) * kDeviceColorPerLeaf;
                                   there.batch = static_cast<size_t>(std::clamp(room / (2 * largest_photo_bytes()), 1.0, static_cast<double>(options.batch)));
-                                  result = device_->color(*surface_, inputs, photo_source(), there, progress_);
+                                  result = device.color(*surface_, inputs, photo_source(), there, progress_);
                               });
             if (!done) result = color_in_batches(*surface_, inputs, photo_source(), options, progress_);
         } catch (const ContradictionError& e) {
@@ -2347,10 +2329,10 @@ class Job {
         if (options.pieces > 1) progress_.note("the mesh is made in " + std::to_string(options.pieces) + " slabs, to stay within the memory limit");
         report_["mesh_step"]["slabs"] = options.pieces;
         bool meshed = false;
-        const bool done = backend_ == Backend::Cuda && o_.mesh.mesher == Mesher::MarchingCubes && on_device("mesh", [&] {
-                              if (!surface_on_device_) device_->set_surface(*surface_);
-                              meshed = device_->extract_mesh(o_.mesh.normals);
-                              if (meshed) mesh_ = device_->fetch_mesh(o_.mesh.normals);
+        const bool done = on_cuda() && o_.mesh.mesher == Mesher::MarchingCubes && on_device("mesh", [&](Device& device) {
+                              if (!surface_on_device_) device.set_surface(*surface_);
+                              meshed = device.extract_mesh(o_.mesh.normals);
+                              if (meshed) mesh_ = device.fetch_mesh(o_.mesh.normals);
                           });
         if (!done || !meshed) mesh_ = extract_mesh(*surface_, options, progress_);
         const DroppedPieces dropped = drop_small_pieces(mesh_, o_.mesh.min_piece_share);
@@ -2775,11 +2757,9 @@ class Job {
     Mesh mesh_;
     MeshMeasures measures_;
     std::string backend_used_ = "cpu", inputs_sha256_;
-    Backend backend_ = Backend::Cpu;                                    ///< where work is done now
-    Backend stage_backend_ = Backend::Cpu;                              ///< where the stage's work was done
     double field_bytes_ = 0, hull_bytes_ = 0, memory_limit_bytes_ = 0;  ///< planned; 0: not planned
     int device_bricks_ = 1;
-    std::optional<DevicePipeline> device_;
+    std::optional<DeviceSession> device_;  ///< from check_options() on
     bool surface_on_device_ = false;
     std::string mask_key_, hull_key_, surface_key_, color_key_, filtered_key_, mesh_key_;
     double median_iou_ = 0, minimum_iou_ = 0;

@@ -44,6 +44,9 @@ void repair_volume(VolumeRepair& repair, const Measure& measure) {
 /// level_set() of any field whose leaves hold its zero crossing, with the volume kept where `repair` is given.
 openvdb::FloatGrid::Ptr redistance(openvdb::FloatGrid::Ptr field, int half_width_vox, VolumeRepair* repair, Progress& progress);
 
+/// What level_set_of_occupancy() re-distances: +-1/2 voxel at the border, +-band elsewhere.
+openvdb::FloatGrid::Ptr halves_of_occupancy(const openvdb::MaskGrid& occupancy, int half_width_vox);
+
 /// Voxels inside that lie in tiles.
 int64_t inside_tile_voxels(const openvdb::FloatTree& tree);
 

@@ -142,42 +142,43 @@ kernel::RenderRule render_rule(const RenderFrame& frame, const Camera& camera, c
 
 // ------------------------------------------------------------------------------------ volumes
 
-struct RenderVolume::Parts {
-    RenderFrame frame;
-    Box3d bounds;
-    Backend backend = Backend::Cpu;
-    // CPU.
-    NanoBuffer grid, color;
-    std::vector<uint64_t> near, solid;
-    kernel::RenderVolume view{};
-    // CUDA.
-    std::unique_ptr<DevicePipeline> device;
-    double milliseconds = 0;
-};
+namespace {
 
-RenderVolume::RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* color, Backend backend, int device)
-    : parts_(std::make_unique<Parts>()) {
+RenderFrame frame_of(const openvdb::FloatGrid& surface) {
     if (surface.getGridClass() != openvdb::GRID_LEVEL_SET) throw UsageError("render: grid '" + surface.getName() + "' is no level set");
-    Parts& p = *parts_;
     const kernel::LatticeFrame lattice = lattice_frame(surface.transform());
-    p.frame = RenderFrame(leaf_box(surface), Vec3d(lattice.first[0], lattice.first[1], lattice.first[2]), lattice.voxel_size);
-    const RenderFrame& f = p.frame;
+    return RenderFrame(leaf_box(surface), Vec3d(lattice.first[0], lattice.first[1], lattice.first[2]), lattice.voxel_size);
+}
+
+}  // namespace
+
+Box3d box_of_inside(const openvdb::FloatGrid& surface) {
+    const RenderFrame f = frame_of(surface);
     openvdb::CoordBBox inside;
     for (auto leaf = surface.tree().cbeginLeaf(); leaf; ++leaf)
         for (auto v = leaf->cbeginValueOn(); v; ++v)
             if (*v < 0) inside.expand(v.getCoord());
     if (inside.empty()) throw UsageError("render: the volume has no inside");
+    Box3d out;
     for (const openvdb::Coord& c : {inside.min(), inside.max()})
-        p.bounds.extend(Vec3d(f.origin_world + f.voxel_size * Vec3d(c[0] - f.base.i, c[1] - f.base.j, c[2] - f.base.k)));
-    p.backend = choose_backend(backend, device);
+        out.extend(Vec3d(f.origin_world + f.voxel_size * Vec3d(c[0] - f.base.i, c[1] - f.base.j, c[2] - f.base.k)));
+    return out;
+}
+
+struct RenderVolume::Parts {
+    RenderFrame frame;
+    Box3d bounds;
+    NanoBuffer grid, color;
+    std::vector<uint64_t> near, solid;
+    kernel::RenderVolume view{};
+};
+
+RenderVolume::RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* color) : parts_(std::make_unique<Parts>()) {
+    Parts& p = *parts_;
+    p.frame = frame_of(surface);
+    p.bounds = box_of_inside(surface);
+    const RenderFrame& f = p.frame;
     if (color) p.color = to_nanovdb(*color);
-    if (p.backend == Backend::Cuda) {
-        p.device = std::make_unique<DevicePipeline>(device);
-        p.device->set_surface(surface);
-        if (color) p.device->set_colors(p.color);
-        p.color = {};
-        return;
-    }
     p.grid = to_nanovdb(surface, false);
     const auto* grid = reinterpret_cast<const nanovdb::NanoGrid<float>*>(p.grid.data.get());
     const float near = kernel::kNearSurface_vox * static_cast<float>(f.voxel_size);
@@ -192,20 +193,10 @@ RenderVolume::RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec
 
 RenderVolume::~RenderVolume() = default;
 RenderVolume::RenderVolume(RenderVolume&&) noexcept = default;
-Backend RenderVolume::backend_used() const { return parts_->backend; }
 const Box3d& RenderVolume::bounds_world() const { return parts_->bounds; }
-double RenderVolume::device_milliseconds() const { return parts_->milliseconds; }
 
 Image8 render(RenderVolume& volume, const Camera& camera, const RenderOptions& options) {
     RenderVolume::Parts& p = *volume.parts_;
-    if (p.device) {
-        p.device->clear_times();
-        Image8 out = p.device->render(camera, options);
-        p.milliseconds = 0;
-        for (const auto& [name, ms] : p.device->milliseconds())
-            if (name == "render") p.milliseconds = ms;
-        return out;
-    }
     kernel::RenderRule rule = render_rule(p.frame, camera, options);
     const std::vector<Vec3> ambient = ambient_directions(rule.ambient_rays);
     rule.ambient = ambient.data();

@@ -11,6 +11,7 @@
 #include "text.h"
 #include "view_called.h"
 #include "vdbcarve/caps.h"
+#include "vdbcarve/device.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/pipeline.h"
@@ -87,9 +88,16 @@ class RenderRun {
             }
             if (!surface) throw InputError(source.string() + ": has no level set to render");
             if (const auto said = metadata["up_axis"]; up.empty() && said && said->str() != "unknown") up = said->str();
-            volume_.emplace(*surface, color.get(), job_.backend, job_.device);
-            bounds_ = volume_->bounds_world();
-            summary_.backend_used = name_of(volume_->backend_used());
+            bounds_ = box_of_inside(*surface);
+            const Backend backend = choose_backend(job_.backend, job_.device);
+            summary_.backend_used = name_of(backend);
+            if (backend == Backend::Cuda) {
+                device_.emplace(job_.device);
+                device_->set_surface(*surface);
+                if (color) device_->set_colors(*color);
+            } else {
+                volume_.emplace(*surface, color.get());
+            }
         } else {
             if (options_.style != RenderStyle::Surface)
                 throw UsageError(source.string() + ": a mesh has no voxels, no thickness and no sections. Remedy: the volume");
@@ -147,9 +155,10 @@ class RenderRun {
     Image8 picture(const Camera& camera) {
         progress_.check();
         const auto start = std::chrono::steady_clock::now();
-        Image8 out = volume_ ? render(*volume_, camera, options_) : render(mesh_, camera, options_);
+        if (device_) device_->clear_times();
+        Image8 out = device_ ? device_->render(camera, options_) : volume_ ? render(*volume_, camera, options_) : render(mesh_, camera, options_);
+        if (device_) summary_.device_milliseconds = device_->milliseconds("render");
         summary_.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-        if (volume_) summary_.device_milliseconds = volume_->device_milliseconds();
         ++summary_.pictures;
         summary_.width_px = out.width;
         summary_.height_px = out.height;
@@ -237,7 +246,8 @@ class RenderRun {
     Progress& progress_;
     RenderOptions options_;
     RenderSummary summary_;
-    std::optional<RenderVolume> volume_;
+    std::optional<Device> device_;        ///< where it is used: holds the volume
+    std::optional<RenderVolume> volume_;  ///< of a volume, on the CPU
     Mesh mesh_;
     Box3d bounds_;
     Vec3d up_ = Vec3d::UnitZ();

@@ -10,7 +10,6 @@
 #include "nanovdb_bytes.h"
 #include "redistance.h"
 #include "stereo_plan.h"
-#include "vdbcarve/device.h"
 #include "vector_loops.h"
 
 namespace vdbcarve {
@@ -148,11 +147,6 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
         add_milliseconds(out, what, std::chrono::duration<double, std::milli>(now - last).count());
         last = now;
     };
-    if (options.backend == Backend::Cuda) {
-        DevicePipeline device(options.device);
-        device.set_surface(surface);
-        return device.stereo(surface, inputs, photos, options, progress);
-    }
     const SeenVolume volume(surface);
     lap("hull");
     std::vector<StereoLevel> levels = stereo_levels(surface, inputs, photos, out.scale, options);

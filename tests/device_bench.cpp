@@ -48,7 +48,7 @@ BenchScene packed(const std::string& folder, int views) {
 }
 
 /// From masks to the level set, which stays on the device.
-openvdb::FloatGrid::Ptr make_surface(DevicePipeline& device, const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
+openvdb::FloatGrid::Ptr make_surface(Device& device, const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
     openvdb::initialize();
     CarveOptions c;
     c.bounds_world = scene.bounds;
@@ -73,7 +73,7 @@ void print_medians(std::map<std::string, std::vector<double>>& steps) {
 
 /// Medians of seven runs, the first thrown away; once more for `best`.
 void bench_color(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
-    DevicePipeline device;
+    Device device;
     const auto surface = make_surface(device, scene, grid, progress);
     const std::vector<ColorInput> inputs = scene.color_inputs();
     for (const ColorMode mode : {ColorMode::Blend, ColorMode::Best}) {
@@ -123,8 +123,8 @@ void bench_add(const test::PackedScene& scene, int resolution, Progress& progres
     };
     const FieldSource source = [&](size_t first, size_t last) { return distance_fields(masks_of(first, last), d, progress); };
     const bool on_device = !cuda_devices().empty();
-    DevicePipeline* device = nullptr;
-    std::optional<DevicePipeline> here, one;
+    Device* device = nullptr;
+    std::optional<Device> here, one;
     if (on_device) device = &here.emplace(), one.emplace();
     std::map<std::string, std::vector<double>> steps;
     openvdb::FloatGrid::Ptr hull;
@@ -184,15 +184,16 @@ double median_of(std::vector<double> v) {
 
 /// Pictures of 1024 x 1024 of the coloured surface; then carving and looking, as with a model that grows.
 void bench_render(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
-    DevicePipeline device;
+    Device device;
     const auto surface = make_surface(device, scene, grid, progress);
     openvdb::Vec3SGrid::Ptr colors;
     if (!scene.photos.empty()) colors = color(*surface, scene.color_inputs(), {}, progress).color;
-    RenderVolume gpu(*surface, colors.get(), Backend::Cuda);
+    if (colors) device.set_colors(*colors);
+    const Box3d box = box_of_inside(*surface);
     OrbitView view;
-    const auto camera = [&](const Box3d& box, int frame) {
+    const auto camera = [&](const Box3d& of, int frame) {
         view.azimuth_deg = 17.0 * frame;
-        return orbit_camera(box, Vec3d::UnitY(), view);
+        return orbit_camera(of, Vec3d::UnitY(), view);
     };
     const std::pair<const char*, std::function<void(RenderOptions&)>> kinds[] = {
         {"surface, ambient occlusion", [](RenderOptions&) {}},
@@ -208,8 +209,9 @@ void bench_render(const test::PackedScene& scene, const std::array<int, 3>& grid
         change(o);
         std::vector<double> ms;
         for (int frame = 0; frame < 22; ++frame) {
-            render(gpu, camera(gpu.bounds_world(), frame), o);
-            if (frame >= 2) ms.push_back(gpu.device_milliseconds());
+            device.clear_times();
+            device.render(camera(box, frame), o);
+            if (frame >= 2) ms.push_back(device.milliseconds("render"));
         }
         std::printf("render %-32s %8.3f ms (median of 20 azimuths, 1024 x 1024)\n", name, median_of(ms));
     }
@@ -221,7 +223,7 @@ void bench_render(const test::PackedScene& scene, const std::array<int, 3>& grid
         DistanceOptions d;
         d.scale = plan.scale;
         d.reach_samples = plan.reach_samples;
-        DevicePipeline live;
+        Device live;
         live.upload(scene.mask_views());
         live.distance(d);
         const std::vector<CarveInput> inputs = scene.inputs();
@@ -246,7 +248,7 @@ void bench_render(const test::PackedScene& scene, const std::array<int, 3>& grid
 }
 
 void bench_filter(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
-    DevicePipeline device;
+    Device device;
     const auto surface = make_surface(device, scene, grid, progress);
     std::printf("%u leaves\n", surface->tree().leafCount());
     for (const char* chain : {"median:1", "laplacian:1x2", "gaussian:1", "edge-preserving:2", "edge-preserving:2x2"}) {
@@ -319,7 +321,7 @@ int run(const std::vector<std::string>& words) {
             for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
             hull = carve(inputs, c, progress).hull;
         } else {
-            DevicePipeline device;
+            Device device;
             device.upload(masks);
             device.distance(d);
             device.carve(inputs, c, progress);

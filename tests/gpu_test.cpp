@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <random>
 
+#include "device_session.h"
 #include "marching_cubes.h"
 #include "nanovdb_bytes.h"
 #include "same_transform.h"
@@ -109,6 +110,7 @@ TEST_F(Gpu, DistanceFieldsEqualTheCpus) {
     masks.push_back({});
     std::vector<MaskView> views;
     for (const Mask& m : masks) views.push_back(view_of(m));
+    Device device;
     for (const double reach : {4.0, 9.0, 31.5, 190.0, 500.0})
         for (const int scale : {1, 2, 3})
             for (const double offset : {0.0, 2.25, -1.5})
@@ -120,8 +122,7 @@ TEST_F(Gpu, DistanceFieldsEqualTheCpus) {
                     o.silhouette_offset_px = offset;
                     o.conservative = conservative;
                     const std::vector<DistanceField> cpu = distance_fields(views, o, quiet_);
-                    o.backend = Backend::Cuda;
-                    const std::vector<DistanceField> gpu = distance_fields(views, o, quiet_);
+                    const std::vector<DistanceField> gpu = distance_fields(device, views, o, quiet_);
                     ASSERT_EQ(cpu.size(), gpu.size());
                     for (size_t v = 0; v < cpu.size(); ++v) {
                         SCOPED_TRACE("mask " + std::to_string(v));
@@ -141,8 +142,8 @@ TEST_P(GpuScenes, HullLevelSetAndMeshEqualTheCpus) {
     GetParam().change(o);
     const CarveResult cpu = carve(s.inputs, o, quiet_);
     ASSERT_EQ(cpu.backend_used, "cpu");
-    o.backend = Backend::Cuda;
-    const CarveResult gpu = carve(s.inputs, o, quiet_);
+    Device one_by_one;
+    const CarveResult gpu = carve(one_by_one, s.inputs, o, quiet_);
     ASSERT_EQ(gpu.backend_used, "cuda");
     expect_same(*cpu.hull, *gpu.hull);
     EXPECT_EQ(cpu.statistics.leaves, gpu.statistics.leaves);
@@ -152,7 +153,7 @@ TEST_P(GpuScenes, HullLevelSetAndMeshEqualTheCpus) {
     EXPECT_GT(gpu.statistics.voxel_lookups, 0u);
 
     // The same without coming home between stages, from the masks.
-    DevicePipeline device;
+    Device device;
     std::vector<MaskView> masks;
     for (const Mask& m : s.scene.masks) masks.push_back(view_of(m));
     device.upload(masks);
@@ -166,8 +167,7 @@ TEST_P(GpuScenes, HullLevelSetAndMeshEqualTheCpus) {
     device.level_set(l);
     expect_same(*surface, *device.surface());
     expect_nanovdb_of(*surface, device.surface_nanovdb());
-    l.backend = Backend::Cuda;
-    expect_same(*surface, *level_set(copy_of(*cpu.hull), l, quiet_));
+    expect_same(*surface, *level_set(one_by_one, *cpu.hull, l, quiet_));
     for (const bool normals : {false, true}) {
         const Mesh mesh = marching_cubes(*surface, normals);
         ASSERT_TRUE(device.extract_mesh(normals));
@@ -175,8 +175,7 @@ TEST_P(GpuScenes, HullLevelSetAndMeshEqualTheCpus) {
         MeshOptions m;
         m.mesher = Mesher::MarchingCubes;
         m.normals = normals;
-        m.backend = Backend::Cuda;
-        expect_same_mesh(mesh, extract_mesh(*surface, m, quiet_));
+        expect_same_mesh(mesh, extract_mesh(one_by_one, *surface, m, quiet_));
         EXPECT_TRUE(measure(mesh).manifold);
     }
     // Again on the same buffers.
@@ -190,16 +189,15 @@ TEST_P(GpuScenes, OccupancyEqualsTheCpus) {
     GetParam().change(o);
     o.occupancy = true;
     const CarveResult cpu = carve(s.inputs, o, quiet_);
-    o.backend = Backend::Cuda;
-    const CarveResult gpu = carve(s.inputs, o, quiet_);
+    Device device;
+    const CarveResult gpu = carve(device, s.inputs, o, quiet_);
     EXPECT_EQ(gpu.backend_used, "cuda");
     EXPECT_TRUE(cpu.occupancy->tree().hasSameTopology(gpu.occupancy->tree()));
     EXPECT_EQ(cpu.occupancy->activeVoxelCount(), gpu.occupancy->activeVoxelCount());
     EXPECT_EQ(cpu.occupancy->tree().nodeCount(), gpu.occupancy->tree().nodeCount());
     LevelSetOptions l;
     const auto surface = level_set_of_occupancy(*cpu.occupancy, l, quiet_);
-    l.backend = Backend::Cuda;
-    expect_same(*surface, *level_set_of_occupancy(*gpu.occupancy, l, quiet_));
+    expect_same(*surface, *level_set_of_occupancy(device, *gpu.occupancy, l, quiet_));
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, GpuScenes, testing::ValuesIn(carve_cases()), [](const auto& instance) { return instance.param.name; });
@@ -209,15 +207,11 @@ TEST_F(Gpu, BricksManyViewsAndManyMissesEqualTheCpus) {
     CarveOptions o = options_for(s, 80);
     o.brick = IndexBox{{-104, -24, 0}, {-8, 16, 104}};
     const auto both = [&] {
-        o.backend = Backend::Cpu;
-        const auto cpu = carve(s.inputs, o, quiet_).hull;
-        o.backend = Backend::Cuda;
-        expect_same(*cpu, *carve(s.inputs, o, quiet_).hull);
+        Device device;
+        expect_same(*carve(s.inputs, o, quiet_).hull, *carve(device, s.inputs, o, quiet_).hull);
         o.occupancy = true;
-        o.backend = Backend::Cpu;
         const auto bits = carve(s.inputs, o, quiet_).occupancy;
-        o.backend = Backend::Cuda;
-        EXPECT_TRUE(bits->tree().hasSameTopology(carve(s.inputs, o, quiet_).occupancy->tree()));
+        EXPECT_TRUE(bits->tree().hasSameTopology(carve(device, s.inputs, o, quiet_).occupancy->tree()));
         o.occupancy = false;
     };
     both();
@@ -238,7 +232,7 @@ TEST_F(Gpu, NoiseMeshesAndLevelSetsEqualTheCpus) {
     for (const bool smooth : {false, true})
         for (const bool tiny : {false, true}) {
             const auto grid = noise_grid(44, smooth, tiny, 7);
-            DevicePipeline device;
+            Device device;
             device.set_surface(*grid);
             expect_nanovdb_of(*grid, device.surface_nanovdb());
             ASSERT_TRUE(device.extract_mesh(true));
@@ -266,7 +260,7 @@ TEST_F(Gpu, FiltersEqualTheCpus) {
         surfaces.push_back(level_set(noise, {}, quiet_));
         surfaces.back()->setName("surface");
     }
-    DevicePipeline device;
+    Device device;
     for (size_t n = 0; n < surfaces.size(); ++n)
         for (const char* chain : {"median:1", "median:2", "laplacian:1x3", "mean-curvature:1x2", "gaussian:1", "gaussian:4", "edge-preserving:1",
                                   "edge-preserving:2x2", "median:1,laplacian:1x2,edge-preserving:2"})
@@ -302,16 +296,15 @@ TEST_F(Gpu, FiltersEqualTheCpus) {
     const FilterResult cpu = filter(copy_of(*surfaces[0]), o, quiet_);
     ASSERT_TRUE(device.extract_mesh(true));
     expect_same_mesh(marching_cubes(*cpu.surface, true), device.fetch_mesh(true));
-    o.backend = Backend::Cuda;
-    const FilterResult alone = filter(copy_of(*surfaces[0]), o, quiet_);
+    const FilterResult alone = filter(device, *surfaces[0], o, quiet_);
     expect_same(*cpu.surface, *alone.surface);
     EXPECT_EQ(alone.components, cpu.components);
     EXPECT_EQ(alone.backend_used, "cuda");
 }
 
-// One pipeline for jobs of other sizes and kinds, and for what is not a level set.
-TEST_F(Gpu, OnePipelineServesOneJobAfterAnother) {
-    DevicePipeline device;
+// One device session for jobs of other sizes and kinds, and for what is not a level set.
+TEST_F(Gpu, OneSessionServesOneJobAfterAnother) {
+    Device device;
     const auto job = [&](const Shoot& s, CarveOptions o) {
         std::vector<MaskView> masks;
         for (const Mask& m : s.scene.masks) masks.push_back(view_of(m));
@@ -355,8 +348,7 @@ TEST_F(Gpu, OnePipelineServesOneJobAfterAnother) {
     EXPECT_THROW(device.fetch_mesh(false), UsageError);
     MeshOptions m;
     m.mesher = Mesher::MarchingCubes;
-    m.backend = Backend::Cuda;
-    expect_same_mesh(marching_cubes(*empty, false), extract_mesh(*empty, m, quiet_));
+    expect_same_mesh(marching_cubes(*empty, false), extract_mesh(device, *empty, m, quiet_));
 }
 
 struct ColorCase {
@@ -456,19 +448,14 @@ TEST_P(GpuColor, EqualsTheCpus) {
     const PhotoSource source = [&](size_t first, size_t last) {
         return std::vector<Photo>(s.photos.begin() + static_cast<long>(first), s.photos.begin() + static_cast<long>(last));
     };
-    const auto run = [&](Backend backend) {
-        o.backend = backend;
-        return o.batch ? color_in_batches(*s.surface, s.inputs, source, o, quiet_) : color(*s.surface, s.inputs, o, quiet_);
-    };
-    const ColorResult cpu = run(Backend::Cpu);
+    const ColorResult cpu = o.batch ? color_in_batches(*s.surface, s.inputs, source, o, quiet_) : color(*s.surface, s.inputs, o, quiet_);
     const auto expect_equal = [&](const ColorResult& gpu) {
         EXPECT_EQ(gpu.backend_used, "cuda");
         expect_same_colors(cpu, gpu);
     };
-    expect_equal(run(Backend::Cuda));
+    Device device;
+    expect_equal(color_in_batches(device, *s.surface, s.inputs, o.batch ? source : PhotoSource(), o, quiet_));
     // Twice on the same buffers.
-    DevicePipeline device;
-    device.set_surface(*s.surface);
     for (int again = 0; again < 2; ++again) expect_equal(device.color(*s.surface, s.inputs, source, o, quiet_));
     EXPECT_GT(cpu.statistics.colored, 0u);
     EXPECT_GT(cpu.statistics.synthesised, 0u);
@@ -477,14 +464,14 @@ TEST_P(GpuColor, EqualsTheCpus) {
 INSTANTIATE_TEST_SUITE_P(Colors, GpuColor, testing::ValuesIn(color_cases()), [](const auto& instance) { return instance.param.name; });
 
 TEST_F(Gpu, DepthsEqualTheCpus) {
+    Device device;
     for (const bool orthographic : {false, true}) {
         const DentedScene scene(0.9, 16, 160, 48, orthographic);
         for (const int scale : {1, 2}) {
             StereoOptions o;
             o.scale = scale;
             const StereoResult cpu = stereo(*scene.hull, scene.inputs, {}, o, quiet_);
-            o.backend = Backend::Cuda;
-            const StereoResult gpu = stereo(*scene.hull, scene.inputs, {}, o, quiet_);
+            const StereoResult gpu = stereo(device, *scene.hull, scene.inputs, {}, o, quiet_);
             EXPECT_EQ(gpu.backend_used, "cuda");
             expect_same(*cpu.surface, *gpu.surface);
             expect_same(*cpu.confidence, *gpu.confidence);
@@ -507,8 +494,8 @@ TEST_F(Gpu, AnUnseenSurfaceIsExplainedAlike) {
     for (ColorInput& i : s.inputs) i.mask = {nothing.view(), {}};
     ColorOptions o;
     const std::string cpu = error_of(ExitCode::Contradiction, [&] { color(*s.surface, s.inputs, o, quiet_); });
-    o.backend = Backend::Cuda;
-    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { color(*s.surface, s.inputs, o, quiet_); }));
+    Device device;
+    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { color_in_batches(device, *s.surface, s.inputs, {}, o, quiet_); }));
 }
 
 TEST_F(Gpu, AnEmptyHullIsExplainedAlike) {
@@ -516,17 +503,19 @@ TEST_F(Gpu, AnEmptyHullIsExplainedAlike) {
                     [](SyntheticScene& scene) { std::fill(scene.masks[3].coverage.data.begin(), scene.masks[3].coverage.data.end(), uint8_t{0}); });
     CarveOptions o = options_for(s, 48);
     const std::string cpu = error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); });
-    o.backend = Backend::Cuda;
-    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); }));
+    Device device;
+    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(device, s.inputs, o, quiet_); }));
     o.occupancy = true;
-    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(s.inputs, o, quiet_); }));
+    EXPECT_EQ(cpu, error_of(ExitCode::Contradiction, [&] { carve(device, s.inputs, o, quiet_); }));
 }
 
 /// Pictures in all styles, from outside in several directions and from amid the voxels.
 void expect_same_pictures(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* colors, int side) {
-    RenderVolume cpu(surface, colors, Backend::Cpu), gpu(surface, colors, Backend::Cuda);
+    RenderVolume cpu(surface, colors);
+    Device gpu;
+    gpu.set_surface(surface);
+    if (colors) gpu.set_colors(*colors);
     const Box3d box = cpu.bounds_world();
-    EXPECT_EQ(box.min(), gpu.bounds_world().min());
     std::vector<Camera> cameras;
     for (const double azimuth : {0.0, 90.0, 217.0})
         for (const double fov : {0.0, 35.0}) {
@@ -548,13 +537,13 @@ void expect_same_pictures(const openvdb::FloatGrid& surface, const openvdb::Vec3
             o.slice = {Vec3d(0.3, -1, 0.2), Vec3d(0.3, -1, 0.2).dot(box.center())};
             if (c % 3 == 0) o.background.reset();
             o.color = c != 4;
-            const Image8 expected = render(cpu, cameras[c], o), found = render(gpu, cameras[c], o);
+            const Image8 expected = render(cpu, cameras[c], o), found = gpu.render(cameras[c], o);
             size_t differing = 0;
             for (size_t n = 0; n < expected.data.size(); ++n) differing += expected.data[n] != found.data[n];
             EXPECT_EQ(differing, 0u) << "style " << static_cast<int>(style) << ", camera " << c;
             EXPECT_GT(std::count(expected.data.begin(), expected.data.end(), expected.data.front()), 0);
         }
-    EXPECT_GT(gpu.device_milliseconds(), 0);
+    EXPECT_GT(gpu.milliseconds("render"), 0);
 }
 
 TEST_F(Gpu, PicturesEqualTheCpus) {
@@ -587,7 +576,7 @@ TEST_F(Gpu, PackedScenesEqualTheCpus) {
         const std::vector<DistanceField> fields = distance_fields(masks, d, quiet_);
         for (size_t i = 0; i < inputs.size(); ++i) inputs[i].field = &fields[i];
         const auto hull = carve(inputs, o, quiet_).hull;
-        DevicePipeline device;
+        Device device;
         device.upload(masks);
         device.distance(d);
         device.carve(inputs, o, quiet_);
@@ -621,12 +610,46 @@ TEST(Backend, SaysWhatIsMissing) {
     if (!why_no_cuda().empty()) {
         EXPECT_EQ(choose_backend(Backend::Auto, 0), Backend::Cpu);
         EXPECT_NE(error_of(ExitCode::Backend, [] { choose_backend(Backend::Cuda, 0); }).find("Remedy: --backend cpu"), std::string::npos);
-        EXPECT_THROW(DevicePipeline(0), BackendError);
+        EXPECT_THROW(Device(0), BackendError);
     } else {
         EXPECT_EQ(choose_backend(Backend::Auto, 0), Backend::Cuda);
         EXPECT_NE(error_of(ExitCode::Backend, [] { choose_backend(Backend::Cuda, 99); }).find("--device 99"), std::string::npos);
     }
     EXPECT_EQ(choose_backend(Backend::Cpu, 7), Backend::Cpu);
+}
+
+TEST(Backend, ASessionGoesOnOnTheCpuUnlessTheDeviceWasDemanded) {
+    Progress progress;
+    std::string note;
+    progress.on_note = [&](const std::string& text) { note = text; };
+    const auto work = [](Device&) {};
+    if (!why_no_cuda().empty()) {
+        DeviceSession session(Backend::Auto, 3, progress);
+        ASSERT_EQ(progress.warnings().size(), 1u);
+        EXPECT_NE(progress.warnings()[0].find("--device 3"), std::string::npos);
+        EXPECT_EQ(session.backend(), Backend::Cpu);
+        EXPECT_FALSE(session.run("carve", [](Device&) { FAIL() << "there is no device"; }));
+        EXPECT_EQ(session.used_last(), Backend::Cpu);
+        EXPECT_THROW(DeviceSession(Backend::Cuda, 0, progress), BackendError);
+        return;
+    }
+    const auto fail = [](Device&) { throw BackendError("out of memory"); };
+    DeviceSession session(Backend::Auto, 0, progress);
+    EXPECT_EQ(session.device(), nullptr);
+    EXPECT_TRUE(session.run("carve", work));
+    EXPECT_NE(session.device(), nullptr);
+    EXPECT_EQ(session.used_last(), Backend::Cuda);
+    session.begin_stage();
+    EXPECT_EQ(session.used_last(), Backend::Cpu);
+    EXPECT_FALSE(session.run("level_set", fail));
+    EXPECT_EQ(note, "level_set: out of memory; going on on the CPU, with the same result");
+    EXPECT_EQ(session.backend(), Backend::Cpu);
+    EXPECT_EQ(session.device(), nullptr);
+    EXPECT_FALSE(session.run("mesh", work));
+    DeviceSession demanded(Backend::Cuda, 0, progress);
+    EXPECT_THROW(demanded.run("carve", fail), BackendError);
+    EXPECT_EQ(demanded.backend(), Backend::Cuda);
+    EXPECT_TRUE(demanded.run("carve", work));
 }
 
 }  // namespace

@@ -18,7 +18,7 @@
 #include <sstream>
 
 #include "support/packed_scene.h"
-#include "vdbcarve/backend.h"
+#include "vdbcarve/device.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/evaluate.h"
@@ -180,11 +180,13 @@ int main(int argc, char** argv) {
         for (size_t v = 0; v < inputs.size(); ++v) inputs[v].field = &fields[v];
         const openvdb::FloatGrid::Ptr surface = level_set(carve(inputs, c, progress).hull, {}, progress);
         print_row("hull", extract_mesh(*surface, {}, progress), truth, !packed, progress);
+        std::optional<Device> device;
+        if (choose_backend(cpu ? Backend::Cpu : Backend::Auto, 0) == Backend::Cuda) device.emplace();
         for (const std::string& list : lists) {
             StereoOptions o = settings(list);
-            o.backend = choose_backend(cpu ? Backend::Cpu : Backend::Auto, 0);
             const auto start = std::chrono::steady_clock::now();
-            const StereoResult r = stereo(*surface, scene.color_inputs(), {}, o, progress);
+            const StereoResult r =
+                device ? stereo(*device, *surface, scene.color_inputs(), {}, o, progress) : stereo(*surface, scene.color_inputs(), {}, o, progress);
             const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
             openvdb::FloatGrid::Ptr result = r.surface;
             if (median) {

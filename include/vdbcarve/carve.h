@@ -15,7 +15,6 @@
 #include <string>
 #include <vector>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/distance.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
@@ -54,12 +53,10 @@ struct CarveOptions {
     int max_misses = 0;     ///< so many views may show background and the voxel stays (k of n)
     double min_seen = 0.6;  ///< share of the views that must have a point in frame
     Outside outside = Outside::Unknown;
-    int half_width_vox = 3;          ///< narrow band on either side of the surface
-    bool occupancy = false;          ///< the paper's binary model: nearest pixel >= 1/2 in every view
-    bool allow_empty = false;        ///< an empty hull is a result, not an error
-    std::optional<IndexBox> brick;   ///< carve this part only; limits are multiples of 8
-    Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
-    int device = 0;                  ///< number of the CUDA device
+    int half_width_vox = 3;         ///< narrow band on either side of the surface
+    bool occupancy = false;         ///< the paper's binary model: nearest pixel >= 1/2 in every view
+    bool allow_empty = false;       ///< an empty hull is a result, not an error
+    std::optional<IndexBox> brick;  ///< carve this part only; limits are multiples of 8
 };
 
 struct CarveStatistics {

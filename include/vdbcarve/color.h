@@ -14,7 +14,6 @@
 #include <utility>
 #include <vector>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/exposure.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
@@ -54,8 +53,6 @@ struct ColorOptions {
     int depth_vox = 3;                         ///< layers, from the surface inwards, that get colour (the paper's free parameter)
     int normal_radius_vox = 0;                 ///< 0: normals from the level set; else the paper's Gaussian window of so many voxels (1..kMaxNormalRadius_vox)
     size_t batch = 0;                          ///< views whose photographs are in memory together; 0: all
-    Backend backend = Backend::Cpu;            ///< not Auto: see choose_backend
-    int device = 0;
 };
 
 struct ColorStatistics {

@@ -1,14 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The stages on one CUDA device, each result staying there for the next until it is asked for.
-//
-// The stage functions (distance_fields, carve, level_set, extract_mesh) do one stage and bring its result home; this
-// class is for doing several in a row. Both give the CPU's bits.
+// The stages on one CUDA device, each result staying there for the next until it is asked for; bit for bit the results of the
+// stage functions, which work on the CPU.
 #pragma once
 
 #include <openvdb/openvdb.h>
 
-#include <cstdint>
-#include <cstdlib>
 #include <memory>
 #include <string>
 #include <utility>
@@ -20,30 +16,23 @@
 #include "vdbcarve/distance.h"
 #include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
+#include "vdbcarve/mesh.h"
+#include "vdbcarve/nano_buffer.h"
 #include "vdbcarve/render.h"
 #include "vdbcarve/stereo.h"
 #include "vdbcarve/triangle_mesh.h"
 
 namespace vdbcarve {
 
-/// A NanoVDB grid in host memory, as it lies in a .nvdb file.
-struct NanoBuffer {
-    struct Free {
-        void operator()(uint8_t* p) const { std::free(p); }
-    };
-    std::unique_ptr<uint8_t[], Free> data;  ///< aligned as NanoVDB wants it
-    size_t size = 0;
-};
-
 /// Not for several threads at once. Memory on the device is kept for the next run of the same stage. All functions throw
 /// BackendError for errors of CUDA, its want of memory included.
-class DevicePipeline {
+class Device {
   public:
     /// Throws BackendError where the device is not there.
-    explicit DevicePipeline(int device = 0);
-    ~DevicePipeline();
-    DevicePipeline(DevicePipeline&&) noexcept;
-    DevicePipeline& operator=(DevicePipeline&&) noexcept;
+    explicit Device(int device = 0);
+    ~Device();
+    Device(Device&&) noexcept;
+    Device& operator=(Device&&) noexcept;
 
     /// Masks to the device, then their fields. The masks stay: distance() can be called again. Views without a mask have no field.
     void upload(const std::vector<MaskView>& masks);
@@ -76,8 +65,8 @@ class DevicePipeline {
     /// Filters the surface in its place. The result's grid and counts of pieces are not set: surface() brings it home. Errors like filter().
     FilterResult filter(const FilterOptions& options, Progress& progress);
 
-    /// Colours of the surface, a NanoVDB grid of Vec3f (linear light, active where there is one), for render(); until the next ones, or another surface is set.
-    void set_colors(const NanoBuffer& colors);
+    /// Colours of the surface (linear light, active where there is one), for render(); until the next ones, or another surface is set.
+    void set_colors(const openvdb::Vec3SGrid& colors);
     /// A picture of the surface, or of the hull where there is none yet: see render(). Its device time is "render", that of what is made ready for it "render:
     /// walls".
     Image8 render(const Camera& camera, const RenderOptions& options);
@@ -96,6 +85,8 @@ class DevicePipeline {
 
     /// Device time of every step since the last call of clear_times(), in milliseconds. Waits for the device.
     std::vector<std::pair<std::string, double>> milliseconds() const;
+    /// Of one step; 0 where it did not run.
+    double milliseconds(const std::string& step) const;
     void clear_times();
     /// Bytes that the stages hold on the device.
     size_t bytes() const;
@@ -107,5 +98,19 @@ class DevicePipeline {
     struct Parts;
     std::unique_ptr<Parts> parts_;
 };
+
+/// One stage on the device, as the stage function without a device does it on the CPU: what it needs goes there, its result comes home. What the device held
+/// of that stage is replaced.
+std::vector<DistanceField> distance_fields(Device& device, const std::vector<MaskView>& masks, const DistanceOptions& options, Progress& progress);
+CarveResult carve(Device& device, const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress);
+openvdb::FloatGrid::Ptr level_set(Device& device, const openvdb::FloatGrid& hull, const LevelSetOptions& options, Progress& progress);
+openvdb::FloatGrid::Ptr level_set_of_occupancy(Device& device, const openvdb::MaskGrid& occupancy, const LevelSetOptions& options, Progress& progress);
+ColorResult color_in_batches(Device& device, const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
+                             const ColorOptions& options, Progress& progress);
+StereoResult stereo(Device& device, const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
+                    const StereoOptions& options, Progress& progress);
+FilterResult filter(Device& device, const openvdb::FloatGrid& surface, const FilterOptions& options, Progress& progress);
+/// On the CPU where the device cannot: for Mesher::Dual, and for grids that Device::extract_mesh() does not take.
+Mesh extract_mesh(Device& device, const openvdb::FloatGrid& surface, const MeshOptions& options, Progress& progress);
 
 }  // namespace vdbcarve

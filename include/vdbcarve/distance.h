@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <vector>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/image.h"
 #include "vdbcarve/kernel/carve.h"
 #include "vdbcarve/kernel/distance.h"
@@ -22,8 +21,6 @@ struct DistanceOptions {
     double reach_samples = kernel::kMaxReach_px;
     /// Coarse samples take the largest coverage instead of the mean: silhouettes never shrink (for bounds).
     bool conservative = false;
-    Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
-    int device = 0;
 };
 
 /// Signed distance over a window of the image; kernel::FieldView says how it is read.

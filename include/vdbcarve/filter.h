@@ -11,7 +11,6 @@
 #include <utility>
 #include <vector>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/progress.h"
 
 namespace vdbcarve {
@@ -49,8 +48,6 @@ struct FilterOptions {
     /// Parts thinner than this many voxels are left as they are, those up to 1 1/2 voxels thicker are filtered in part; 0: nothing is
     /// protected. At most most_keep_thin_vox(). The repair moves them with the rest.
     double keep_thin_vox = 4;
-    Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
-    int device = 0;
 };
 
 /// The largest keep_thin_vox with a half-width.

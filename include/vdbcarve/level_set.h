@@ -4,15 +4,12 @@
 
 #include <openvdb/openvdb.h>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/progress.h"
 
 namespace vdbcarve {
 
 struct LevelSetOptions {
     int half_width_vox = 3;
-    Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
-    int device = 0;
 };
 
 /// Re-distances the hull: kernel/level_set.h says how. No sign changes, the zero set stays where it crosses the

@@ -4,7 +4,6 @@
 
 #include <openvdb/openvdb.h>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/progress.h"
 #include "vdbcarve/triangle_mesh.h"
 
@@ -18,11 +17,9 @@ enum class Mesher {
 struct MeshOptions {
     double adaptivity = 0;  ///< 0: uniform; up to 1: larger polygons where the surface is flat (Mesher::Dual)
     Mesher mesher = Mesher::Dual;
-    bool normals = false;            ///< unit normals from the volume's gradient (Mesher::MarchingCubes)
-    bool quads = false;              ///< keep quads as such (Mesh::quads; Mesher::Dual)
-    int pieces = 1;                  ///< the grid is gone through in so many slabs, one in the mesher at a time (Mesher::Dual, adaptivity 0)
-    Backend backend = Backend::Cpu;  ///< of marching cubes; not Auto: see choose_backend
-    int device = 0;
+    bool normals = false;  ///< unit normals from the volume's gradient (Mesher::MarchingCubes)
+    bool quads = false;    ///< keep quads as such (Mesh::quads; Mesher::Dual)
+    int pieces = 1;        ///< the grid is gone through in so many slabs, one in the mesher at a time (Mesher::Dual, adaptivity 0)
 };
 
 /// Marching cubes: kernel/marching_cubes.h says how. Closed and 2-manifold on any grid whose tiles inside and outside do

@@ -60,13 +60,13 @@ struct FloorOptions {
 };
 
 struct StereoSettings {
-    bool on = false;        ///< carve concavities by the photographs' depths
-    StereoOptions options;  ///< backend and device are set by the job
-    bool maps = false;      ///< every view's depths and how sure they are, as pictures in OUT/depth
+    bool on = false;  ///< carve concavities by the photographs' depths
+    StereoOptions options;
+    bool maps = false;  ///< every view's depths and how sure they are, as pictures in OUT/depth
 };
 
 struct ColorSettings {
-    /// How the surface is coloured; mode None: not. Gains, backend, device and `up` are set by the job; `batch` is lowered to keep within the memory limit.
+    /// How the surface is coloured; mode None: not. Gains and `up` are set by the job; `batch` is lowered to keep within the memory limit.
     ColorOptions options;
     bool from_photos = false;  ///< vertex colours straight from the photographs, not from the volume
     int leave_out = 0;         ///< every N-th view is withheld from colouring, to be compared with (evaluate --photos); 0: none

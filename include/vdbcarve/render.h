@@ -10,14 +10,11 @@
 #include <string>
 #include <vector>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/image.h"
 #include "vdbcarve/triangle_mesh.h"
 
 namespace vdbcarve {
-
-class DevicePipeline;
 
 enum class RenderStyle {
     Surface,  ///< the level set's zero, interpolated, under light, with ambient occlusion
@@ -45,19 +42,19 @@ struct RenderOptions {
     Vec3d up = Vec3d::Zero();                                           ///< where the sky is, world; zero: the image's up
 };
 
-/// A level set made ready to be rendered, on the backend of choice: once for many pictures.
+/// The box that holds the inside of a level set, world. Throws UsageError for a grid that is no level set with voxels as cubes, or has no inside.
+Box3d box_of_inside(const openvdb::FloatGrid& surface);
+
+/// A level set made ready to be rendered on the CPU: once for many pictures. On a GPU: Device::render().
 class RenderVolume {
   public:
-    /// `color` (linear light, active where there is one) may be null. Throws UsageError for a grid that is no level set with voxels as cubes, BackendError.
-    RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* color, Backend backend = Backend::Cpu, int device = 0);
+    /// `color` (linear light, active where there is one) may be null. Throws like box_of_inside().
+    RenderVolume(const openvdb::FloatGrid& surface, const openvdb::Vec3SGrid* color);
     ~RenderVolume();
     RenderVolume(RenderVolume&&) noexcept;
 
-    Backend backend_used() const;
-    /// What holds the surface, world.
+    /// box_of_inside().
     const Box3d& bounds_world() const;
-    /// Device time of the last picture on CUDA, milliseconds; 0 on the CPU.
-    double device_milliseconds() const;
 
   private:
     friend Image8 render(RenderVolume&, const Camera&, const RenderOptions&);

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "vdbcarve/backend.h"
 #include "vdbcarve/progress.h"
 #include "vdbcarve/render.h"
 

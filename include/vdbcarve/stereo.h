@@ -10,7 +10,6 @@
 #include <string>
 #include <vector>
 
-#include "vdbcarve/backend.h"
 #include "vdbcarve/color.h"
 
 namespace vdbcarve {
@@ -35,13 +34,11 @@ struct StereoOptions {
     int passes = 6;             ///< of PatchMatch, for each
     double depth_share = 0.35;  ///< the search ends so far behind the hull's front, of the object's longest side
     StereoTrust trust;
-    double truncation_vox = 1.5;     ///< of distances before a depth
-    double reach_share = 0.01;       ///< so far behind it a depth is evidence of the object, of its longest side; at least two truncations
-    double coarser_weight = 0.2;     ///< of a level's depths against those of the finer one
-    double least_weight = 0.8;       ///< confidence x cosine, summed over views, from which on depths count as much as the hull
-    double least_piece = 0.01;       ///< loose pieces of less than this share of the piece of the hull that they were part of are dropped
-    Backend backend = Backend::Cpu;  ///< not Auto: see choose_backend
-    int device = 0;
+    double truncation_vox = 1.5;  ///< of distances before a depth
+    double reach_share = 0.01;    ///< so far behind it a depth is evidence of the object, of its longest side; at least two truncations
+    double coarser_weight = 0.2;  ///< of a level's depths against those of the finer one
+    double least_weight = 0.8;    ///< confidence x cosine, summed over views, from which on depths count as much as the hull
+    double least_piece = 0.01;    ///< loose pieces of less than this share of the piece of the hull that they were part of are dropped
     bool operator==(const StereoOptions&) const = default;
 };
 
