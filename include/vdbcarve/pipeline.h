@@ -38,6 +38,34 @@ struct ReconstructOptions {
     ResultOptions result;
     RunOptions run;
 };
+/// --method says how cameras are found, and that they are to be.
+struct MethodForm {
+    static std::string print(AlignMethod method, bool find_again);
+    static void parse(const std::string& option, const std::string& text, AlignMethod& method, bool& find_again);
+};
+template <OptionsOf<ReconstructOptions> O, class V>
+void visit(O& o, V& v) {
+    v.part(o.views);
+    v.part(o.video);
+    v.part(o.mask);
+    v.alias(Option{"method",
+                   "how cameras are found: coherence (of silhouettes, from an orbit; default), refine (silhouettes and texture, from the camera file's), mat "
+                   "(markers under the object, see board), paper (Denkowski 2013, for comparison)",
+                   kAlignGroup, in::kAligning, "WORD"},
+            MethodForm{}, o.align.method, o.cameras.find_again);
+    v.part(o.align);
+    v.part(o.cameras);
+    v.part(o.grid);
+    v.part(o.carve);
+    v.part(o.mesh);
+    v.part(o.result);
+    v.part(o.floor);
+    v.part(o.color);
+    v.part(o.stereo);
+    v.part(o.filter);
+    v.part(o.smooth);
+    v.part(o.run);
+}
 
 struct Reconstruction {
     std::string report_json;  ///< what report.json holds (of a dry run: the plan)

@@ -17,6 +17,17 @@ struct WatchOptions {
     double idle_s = 0;                                     ///< end when nothing has changed for so long; 0: go on
     std::function<void(const Reconstruction&)> on_result;  ///< after each reconstruct
 };
+/// What watch has besides the options of reconstruct.
+template <OptionsOf<WatchOptions> O, class V>
+void visit(O& o, V& v) {
+    v.not_in_key(
+        Option{"first-views", "views that must be here before bounds and voxels are fixed (--bounds, --voxel-size fix them by hand)", "Watch", in::kWatch},
+        o.first_views, within(1, 65535));
+    v.not_in_key(Option{"until", "end when the result is of this many views (0: go on)", "Watch", in::kWatch}, o.until_views, at_least(0));
+    v.not_in_key(Option{"idle", "end when nothing has changed for this many seconds (0: go on until Ctrl-C)", "Watch", in::kWatch}, o.idle_s, at_least(0));
+    v.not_in_key(Option{"settle", "a file that did not change for this many seconds is complete", "Watch", in::kWatch}, o.settle_s, at_least(0));
+    v.ignore(o.reconstruct, o.poll_s, o.on_result);
+}
 
 /// Calls reconstruct() whenever photographs, masks or the camera file have changed, with views.added = {the scene}: bounds and voxels are those of the first
 /// result, masks and the hull are taken from the run before and extended by what is new, later stages are run again. Nothing is kept but what is in the output
