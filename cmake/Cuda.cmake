@@ -1,4 +1,4 @@
-# -DVDBCARVE_CUDA=AUTO|ON|OFF and -DVDBCARVE_CUDA_ARCHITECTURES=LIST. Sets VDBCARVE_HAS_CUDA and links the device code into vdbcarve.
+# -DVDBCARVE_CUDA=AUTO|ON|OFF and -DVDBCARVE_CUDA_ARCHITECTURES=LIST. Sets VDBCARVE_HAS_CUDA and makes vdbcarve_cuda, which src/device puts into the library.
 set(VDBCARVE_CUDA_ARCHITECTURES "75-real;80-real;86-real;89-real;90-real;120" CACHE STRING
   "GPUs to compile for: the generations in use, and code that later ones translate")
 set(VDBCARVE_HAS_CUDA OFF)
@@ -19,24 +19,15 @@ if(NOT VDBCARVE_CUDA STREQUAL "OFF")
     message(FATAL_ERROR "VDBCARVE_CUDA=ON, but no CUDA compiler was found (is nvcc on PATH?)")
   endif()
 endif()
-# The device session (include/vdbcarve/device.h): on CUDA, or what says that there is none. A library of its own: all other sources are
-# compiled alike with and without CUDA, so that a compiler cache serves both builds.
 if(VDBCARVE_HAS_CUDA)
   add_library(vdbcarve_cuda OBJECT cuda/carve_cuda.cu cuda/color_cuda.cu cuda/dense_cuda.cu cuda/distance_cuda.cu cuda/filter_cuda.cu cuda/grid_cuda.cu cuda/level_set_cuda.cu cuda/mesh_cuda.cu cuda/render_cuda.cu cuda/stereo_cuda.cu)
   set_target_properties(vdbcarve_cuda PROPERTIES POSITION_INDEPENDENT_CODE ON CUDA_STANDARD 20)
-  target_include_directories(vdbcarve_cuda PRIVATE ${PROJECT_SOURCE_DIR}/include)
+  target_link_libraries(vdbcarve_cuda PRIVATE vdbcarve_kernel)
   # A fused multiply-add rounds once where the CPU's separate operations round twice: the bits would differ.
   target_compile_options(vdbcarve_cuda PRIVATE --fmad=false)
-  add_library(vdbcarve_device OBJECT src/device.cpp src/device_carve.cpp src/device_color.cpp src/device_dense.cpp src/device_fields.cpp src/device_grid.cpp src/device_level_set.cpp src/device_mesh.cpp src/device_render.cpp src/device_stereo.cpp)
-  target_link_libraries(vdbcarve_device PRIVATE CUDA::cudart_static)
-  target_precompile_headers(vdbcarve_device PRIVATE <openvdb/openvdb.h> <Eigen/Dense> <string> <vector>)
-  target_sources(vdbcarve PRIVATE $<TARGET_OBJECTS:vdbcarve_cuda>)
-  target_link_libraries(vdbcarve PRIVATE $<LINK_ONLY:CUDA::cudart_static>)
-else()
-  add_library(vdbcarve_device OBJECT src/device_absent.cpp)
+  # What the bridge to them includes: "cuda/x.h".
+  add_library(vdbcarve_cuda_headers INTERFACE)
+  target_include_directories(vdbcarve_cuda_headers INTERFACE ${PROJECT_BINARY_DIR}/modules/cuda)
+  target_link_libraries(vdbcarve_cuda_headers INTERFACE vdbcarve_kernel CUDA::cudart_static)
 endif()
-set_target_properties(vdbcarve_device PROPERTIES POSITION_INDEPENDENT_CODE ON)
-target_include_directories(vdbcarve_device PRIVATE src ${PROJECT_BINARY_DIR}/include)
-target_link_libraries(vdbcarve_device PRIVATE vdbcarve_kernel vdbcarve_flags OpenVDB::openvdb Eigen3::Eigen TBB::tbb Imath::Imath)
-target_sources(vdbcarve PRIVATE $<TARGET_OBJECTS:vdbcarve_device>)
 message(STATUS "vdbcarve: CUDA ${VDBCARVE_HAS_CUDA}")

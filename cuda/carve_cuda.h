@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Carving on the device: nodes are asked size by size, a warp a parent, from lists that the device counts itself; then leaves, a
-// block of threads each. The arithmetic is kernel/carve.h; the result is src/carve.cpp's, bit for bit.
+// block of threads each. The arithmetic is kernel/carve.h; the result is src/carve/carve.cpp's, bit for bit.
 #pragma once
 
 #include <array>
@@ -15,7 +15,7 @@ namespace vdbcarve::cuda {
 /// A warp keeps the views of a parent as a list, those of its children as bits, in shared memory.
 inline constexpr int kMaxViews = 2048;
 
-/// What src/carve.cpp makes of CarveOptions; fields of the views lie on the device.
+/// What src/carve/carve.cpp makes of CarveOptions; fields of the views lie on the device.
 struct CarveJob {
     std::vector<kernel::CarveView> views;
     double origin_world[3], voxel_size;

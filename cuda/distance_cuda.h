@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Distance fields on the device, of masks that lie there: the numbers of src/distance.cpp, bit for bit.
+// Distance fields on the device, of masks that lie there: the numbers of src/image/distance.cpp, bit for bit.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Filters of a level set on the device: src/filter.cpp's passes, bit for bit.
+// Filters of a level set on the device: src/surface/filter.cpp's passes, bit for bit.
 #pragma once
 
 #include <vector>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Re-distancing on the device: src/level_set.cpp's passes, bit for bit.
+// Re-distancing on the device: src/surface/level_set.cpp's passes, bit for bit.
 #pragma once
 
 #include "grid_cuda.h"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Marching cubes on the device: the mesh of src/marching_cubes.cpp, vertex by vertex in the same order.
+// Marching cubes on the device: the mesh of src/mesh/marching_cubes.cpp, vertex by vertex in the same order.
 #pragma once
 
 #include <array>

@@ -8,12 +8,12 @@
 #include <numbers>
 #include <random>
 
-#include "align_mat.h"
-#include "paper/align_paper.h"
-#include "aruco.h"
-#include "coherence_fit.h"
-#include "feature_tracks.h"
-#include "io_cameras.h"
+#include "align/mat/align_mat.h"
+#include "align/paper/align_paper.h"
+#include "align/mat/aruco.h"
+#include "align/coherence_fit.h"
+#include "align/feature_tracks.h"
+#include "views/formats/camera_formats.h"
 #include "support/align_scene.h"
 #include "support/mat_scene.h"
 #include "support/scenes.h"

@@ -10,11 +10,11 @@
 #include <numbers>
 #include <random>
 
-#include "atomic_file.h"
-#include "coherence.h"
-#include "coherence_fit.h"
-#include "io_image.h"
-#include "orbit_model.h"
+#include "base/atomic_file.h"
+#include "align/coherence.h"
+#include "align/coherence_fit.h"
+#include "image/image_io.h"
+#include "align/orbit_model.h"
 #include "support/align_scene.h"
 #include "support/scenes.h"
 #include "vdbcarve/error.h"

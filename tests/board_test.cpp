@@ -12,7 +12,7 @@
 #define VDBCARVE_TEST_ARUCO 1
 #endif
 
-#include "opencv_image.h"
+#include "image/opencv_image.h"
 #include "support/scenes.h"
 #include "vdbcarve/error.h"
 

@@ -12,7 +12,7 @@
 #include "support/dense_oracle.h"
 #include "support/same_grid.h"
 #include "support/scenes.h"
-#include "vector_loops.h"
+#include "base/vector_loops.h"
 
 namespace vdbcarve::test {
 namespace {

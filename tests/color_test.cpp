@@ -10,8 +10,8 @@
 #include <random>
 #include <set>
 
-#include "color_plan.h"
-#include "nanovdb_bytes.h"
+#include "color/color_plan.h"
+#include "volume/nanovdb_bytes.h"
 #include "support/color_scene.h"
 #include "support/noise_grid.h"
 #include "support/same_grid.h"

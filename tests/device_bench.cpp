@@ -20,7 +20,7 @@
 
 #include "device_ceilings.h"
 #include "support/packed_scene.h"
-#include "vdbcarve/bench.h"
+#include "vdbcarve/app/bench.h"
 #include "vdbcarve/device.h"
 #include "vdbcarve/export.h"
 

@@ -3,8 +3,8 @@
 
 #include <algorithm>
 
-#include "../cuda/device_buffer.h"
-#include "../cuda/stream.h"
+#include "cuda/device_buffer.h"
+#include "cuda/stream.h"
 
 namespace vdbcarve::test {
 namespace {

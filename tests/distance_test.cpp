@@ -5,7 +5,7 @@
 #include <random>
 
 #include "support/scenes.h"
-#include "vector_loops.h"
+#include "base/vector_loops.h"
 #include "vdbcarve/kernel/distance.h"
 
 namespace vdbcarve::test {

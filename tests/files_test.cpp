@@ -10,10 +10,10 @@
 
 #include <random>
 
-#include "atomic_file.h"
-#include "nanovdb_bytes.h"
+#include "base/atomic_file.h"
+#include "volume/nanovdb_bytes.h"
 #include "support/scenes.h"
-#include "vector_loops.h"
+#include "base/vector_loops.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"

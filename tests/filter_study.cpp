@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What filters do to shapes whose truth is known: vdbcarve_filter_study [FANDISK.obj] prints the table of src/filter.md.
+// What filters do to shapes whose truth is known: vdbcarve_filter_study [FANDISK.obj] prints the table of src/surface/filter.md.
 //
 // Shapes as distances (what a hull from soft masks is) and as bits (what one from binary masks is): spheres, a tilted cube, a mesh
 // with sharp edges. Ours beside OpenVDB's LevelSetFilter, once with the alpha mask that its documentation proposes for edges.
@@ -15,7 +15,7 @@
 #include <functional>
 #include <map>
 
-#include "triangle_tree.h"
+#include "mesh/triangle_tree.h"
 #include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"

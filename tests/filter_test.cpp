@@ -12,11 +12,11 @@
 #include "support/noise_grid.h"
 #include "support/same_grid.h"
 #include "support/scenes.h"
-#include "triangle_tree.h"
+#include "mesh/triangle_tree.h"
 #include "vdbcarve/kernel/filter.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
-#include "vector_loops.h"
+#include "base/vector_loops.h"
 
 namespace vdbcarve::test {
 namespace {

@@ -6,10 +6,10 @@
 #include <cstdlib>
 #include <random>
 
-#include "device_session.h"
-#include "marching_cubes.h"
-#include "nanovdb_bytes.h"
-#include "same_transform.h"
+#include "device/device_session.h"
+#include "mesh/marching_cubes.h"
+#include "volume/nanovdb_bytes.h"
+#include "volume/same_transform.h"
 #include "support/carve_cases.h"
 #include "support/color_scene.h"
 #include "support/dented_ball.h"

@@ -13,9 +13,9 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "io_exif.h"
-#include "io_image.h"
-#include "opencv_image.h"
+#include "image/exif.h"
+#include "image/image_io.h"
+#include "image/opencv_image.h"
 #include "support/scenes.h"
 #include "vdbcarve/mask.h"
 

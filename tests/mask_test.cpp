@@ -4,9 +4,9 @@
 #include <fstream>
 #include <random>
 
-#include "io_image.h"
-#include "mask_consensus.h"
-#include "mask_methods.h"
+#include "image/image_io.h"
+#include "mask/mask_consensus.h"
+#include "mask/mask_methods.h"
 #include "support/scenes.h"
 #include "vdbcarve/synthetic.h"
 

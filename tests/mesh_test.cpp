@@ -10,7 +10,7 @@
 #include <random>
 #include <set>
 
-#include "marching_cubes.h"
+#include "mesh/marching_cubes.h"
 #include "support/noise_grid.h"
 #include "support/scenes.h"
 #include "vdbcarve/level_set.h"

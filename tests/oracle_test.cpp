@@ -8,7 +8,7 @@
 
 #include <random>
 
-#include "io_image.h"
+#include "image/image_io.h"
 #include "support/camera_files.h"
 #include "support/scenes.h"
 #include "vdbcarve/mask.h"

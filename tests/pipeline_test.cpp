@@ -8,18 +8,18 @@
 #include <opencv2/imgcodecs.hpp>
 #include <thread>
 
-#include "io_image.h"
-#include "statistics.h"
+#include "image/image_io.h"
+#include "base/statistics.h"
 #include "support/dented_ball.h"
 #include "support/scenes.h"
-#include "vdbcarve/bundle.h"
+#include "vdbcarve/app/bundle.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/color_space.h"
 #include "vdbcarve/evaluate.h"
 #include "vdbcarve/export.h"
 #include "vdbcarve/mesh.h"
-#include "vdbcarve/report.h"
-#include "vdbcarve/watch.h"
+#include "vdbcarve/app/report.h"
+#include "vdbcarve/app/watch.h"
 
 namespace vdbcarve::test {
 namespace {

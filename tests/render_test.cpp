@@ -6,13 +6,13 @@
 
 #include <cmath>
 
-#include "render_plan.h"
+#include "render/render_plan.h"
 #include "support/scenes.h"
 #include "vdbcarve/color_space.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/raster.h"
-#include "vdbcarve/render_job.h"
+#include "vdbcarve/app/pictures.h"
 
 namespace vdbcarve::test {
 namespace {

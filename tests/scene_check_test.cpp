@@ -3,8 +3,8 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "camera_doubts.h"
-#include "io_image.h"
+#include "check/camera_doubts.h"
+#include "image/image_io.h"
 #include "support/camera_files.h"
 #include "support/scenes.h"
 #include "vdbcarve/check.h"

@@ -7,7 +7,7 @@
 #include <set>
 
 #include "support/scenes.h"
-#include "triangle_tree.h"
+#include "mesh/triangle_tree.h"
 #include "vdbcarve/decimate.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"

@@ -8,8 +8,8 @@
 #include <limits>
 #include <random>
 
-#include "pieces.h"
-#include "stereo_plan.h"
+#include "surface/pieces.h"
+#include "stereo/stereo_plan.h"
 #include "support/dented_ball.h"
 #include "support/same_grid.h"
 #include "vdbcarve/error.h"

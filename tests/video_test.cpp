@@ -6,8 +6,8 @@
 #include <opencv2/imgproc.hpp>
 #include <set>
 
-#include "io_image.h"
-#include "opencv_image.h"
+#include "image/image_io.h"
+#include "image/opencv_image.h"
 #include "support/scenes.h"
 
 namespace vdbcarve::test {

@@ -10,8 +10,8 @@
 #include <valijson/validation_results.hpp>
 #include <valijson/validator.hpp>
 
-#include "io_image.h"
-#include "sha256.h"
+#include "image/image_io.h"
+#include "base/sha256.h"
 #include "support/camera_files.h"
 #include "support/scenes.h"
 #include "vdbcarve/export_cameras.h"

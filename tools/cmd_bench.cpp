@@ -4,9 +4,8 @@
 #include <memory>
 #include <optional>
 
-#include "../src/atomic_file.h"
 #include "cli.h"
-#include "vdbcarve/bench.h"
+#include "vdbcarve/app/bench.h"
 
 namespace vdbcarve::cli {
 namespace {
@@ -85,12 +84,7 @@ Command add_bench(CLI::App& program) {
                 o.dense_limit_bytes = static_cast<size_t>(raw->dense_limit_gb * 1e9);
                 o.stages = !raw->carve_only;
                 const BenchResult result = run_bench(o, progress);
-                if (!raw->svg.empty()) {
-                    std::filesystem::path over_views = raw->svg;
-                    over_views.replace_filename(over_views.stem().string() + "_views.svg");
-                    write_file(raw->svg, bench_svg(result, false));
-                    write_file(over_views, bench_svg(result, true));
-                }
+                if (!raw->svg.empty()) write_bench_svgs(result, raw->svg);
                 if (common.json == "-") std::cout << bench_json(result);
                 else std::cout << (raw->paper ? bench_paper_table(result) + "\n" : std::string()) << bench_table(result);
                 return 0;

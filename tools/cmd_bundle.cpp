@@ -4,7 +4,7 @@
 #include <memory>
 
 #include "cli.h"
-#include "vdbcarve/bundle.h"
+#include "vdbcarve/app/bundle.h"
 
 namespace vdbcarve::cli {
 

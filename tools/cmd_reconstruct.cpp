@@ -11,7 +11,7 @@
 
 #include "cli.h"
 #include "vdbcarve/pipeline.h"
-#include "vdbcarve/watch.h"
+#include "vdbcarve/app/watch.h"
 
 namespace vdbcarve::cli {
 namespace {

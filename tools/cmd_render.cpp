@@ -5,17 +5,17 @@
 #include <memory>
 
 #include "cli.h"
-#include "vdbcarve/render_job.h"
+#include "vdbcarve/app/pictures.h"
 
 namespace vdbcarve::cli {
 
 Command add_render(CLI::App& program) {
     struct Raw {
-        RenderJob job;
+        PictureRequest request;
         std::string size;
     };
     auto raw = std::make_shared<Raw>();
-    RenderJob& o = raw->job;
+    PictureRequest& o = raw->request;
     CLI::App* app = program.add_subcommand("render", "a picture, a sheet or a film of a result, a volume or a mesh");
     app->fallthrough();
     app->add_option("in", o.input, "a result's folder, a volume (.vdb, .nvdb) or a mesh (.ply, .obj, .stl, .glb)")->required();
@@ -23,9 +23,9 @@ Command add_render(CLI::App& program) {
     app->add_option_function<std::string>(
            "--style",
            [raw](const std::string& text) {
-               raw->job.mesh = CLI::detail::to_lower(text) == "mesh";
-               if (!raw->job.mesh)
-                   raw->job.options.style = one_of<RenderStyle>("--style", text,
+               raw->request.mesh = CLI::detail::to_lower(text) == "mesh";
+               if (!raw->request.mesh)
+                   raw->request.options.style = one_of<RenderStyle>("--style", text,
                                                                 {{"surface", RenderStyle::Surface},
                                                                  {"voxels", RenderStyle::Voxels},
                                                                  {"xray", RenderStyle::XRay},
@@ -48,7 +48,7 @@ Command add_render(CLI::App& program) {
     app->add_option("--size", raw->size, "WIDTHxHEIGHT in pixels")->default_str("1024x1024")->group(how);
     app->add_option("--samples", o.options.samples, "rays along a pixel's side")->capture_default_str()->check(CLI::Range(1, 16))->group(how);
     app->add_flag_function(
-           "--no-color", [raw](int64_t n) { raw->job.options.color = n <= 0; }, "plain clay, also where there are colours")
+           "--no-color", [raw](int64_t n) { raw->request.options.color = n <= 0; }, "plain clay, also where there are colours")
         ->group(how);
     app->add_option("--ambient", o.options.ambient_rays, "directions that are asked whether something hides the sky (0: no ambient occlusion)")
         ->capture_default_str()
@@ -57,7 +57,7 @@ Command add_render(CLI::App& program) {
     app->add_option_function<std::string>(
            "--background",
            [raw](const std::string& text) {
-               auto& b = raw->job.options.background;
+               auto& b = raw->request.options.background;
                if (text == "none") b.reset();
                else if (text == "white") b = {255, 255, 255};
                else if (text == "black") b = {0, 0, 0};
@@ -100,11 +100,11 @@ Command add_render(CLI::App& program) {
                     for (const double side : s)
                         if (side != std::floor(side) || side < 1 || side > 32768)
                             throw UsageError("--size " + raw->size + ": WIDTHxHEIGHT is expected, whole numbers within 1..32768");
-                    raw->job.orbit.width_px = static_cast<int>(s[0]);
-                    raw->job.orbit.height_px = static_cast<int>(s[1]);
+                    raw->request.orbit.width_px = static_cast<int>(s[0]);
+                    raw->request.orbit.height_px = static_cast<int>(s[1]);
                 }
-                const RenderSummary s = render_job(raw->job, progress);
-                spdlog::info("{}: {} x {} pixels, {:.3f} s on the {}{}{}", raw->job.output.string(), s.width_px, s.height_px,
+                const PictureSummary s = draw_pictures(raw->request, progress);
+                spdlog::info("{}: {} x {} pixels, {:.3f} s on the {}{}{}", raw->request.output.string(), s.width_px, s.height_px,
                              s.seconds / static_cast<double>(s.pictures), s.backend_used,
                              s.device_milliseconds > 0 ? fmt::format(" ({:.2f} ms on the device)", s.device_milliseconds) : std::string(),
                              s.pictures > 1 ? fmt::format(" each, {} of them", s.pictures) : std::string());

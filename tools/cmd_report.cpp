@@ -4,7 +4,7 @@
 #include <memory>
 
 #include "cli.h"
-#include "vdbcarve/report.h"
+#include "vdbcarve/app/report.h"
 
 namespace vdbcarve::cli {
 

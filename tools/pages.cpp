@@ -6,7 +6,6 @@
 #include <fstream>
 #include <sstream>
 
-#include "../src/atomic_file.h"
 #include "cli.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/version.h"
@@ -157,17 +156,23 @@ void fill(Page& page, const CLI::App& app, const std::string& name) {
     page.paragraph(kExitCodes);
 }
 
+void write_page(const fs::path& file, const std::string& text) {
+    std::ofstream out(file, std::ios::binary);
+    out << text;
+    if (!out.flush()) throw OutputError(file.string() + ": cannot be written");
+}
+
 }  // namespace
 
 void write_pages(const CLI::App& program, const fs::path& folder) {
-    make_folder(folder);
+    fs::create_directories(folder);
     const auto write = [&](const CLI::App& app, const std::string& name, const std::string& file) {
         Markdown markdown;
         fill(markdown, app, name);
-        write_file(folder / (file + ".md"), markdown.text());
+        write_page(folder / (file + ".md"), markdown.text());
         Man man;
         fill(man, app, name);
-        write_file(folder / ((file == "vdbcarve" ? file : "vdbcarve-" + file) + ".1"), man.text());
+        write_page(folder / ((file == "vdbcarve" ? file : "vdbcarve-" + file) + ".1"), man.text());
     };
     write(program, "vdbcarve", "vdbcarve");
     for (const CLI::App* command : program.get_subcommands([](const CLI::App*) { return true; }))

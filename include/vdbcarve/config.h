@@ -9,7 +9,7 @@
 
 #include "vdbcarve/pipeline.h"
 #include "vdbcarve/visit.h"
-#include "vdbcarve/watch.h"
+#include "vdbcarve/app/watch.h"
 
 namespace vdbcarve {
 

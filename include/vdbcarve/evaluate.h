@@ -15,14 +15,6 @@
 
 namespace vdbcarve {
 
-/// x_truth = scale * rotation * x + translation.
-struct Similarity {
-    double scale = 1;
-    Mat3d rotation = Mat3d::Identity();
-    Vec3d translation = Vec3d::Zero();
-    Vec3d operator*(const Vec3d& x) const { return scale * (rotation * x) + translation; }
-};
-
 /// The similarity that takes `from` to `to` with the least squared error (Umeyama 1991). Throws UndeterminedError for
 /// fewer than three pairs or pairs on one line.
 Similarity align_points(const std::vector<Vec3d>& from, const std::vector<Vec3d>& to);

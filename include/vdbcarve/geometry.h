@@ -69,6 +69,14 @@ struct Lens {
     bool distorts() const;
 };
 
+/// x_to = scale * rotation * x_from + translation.
+struct Similarity {
+    double scale = 1;
+    Mat3d rotation = Mat3d::Identity();
+    Vec3d translation = Vec3d::Zero();
+    Vec3d operator*(const Vec3d& x) const { return scale * (rotation * x) + translation; }
+};
+
 /// K, R, t of a finite projective camera: P ~ K [R | t], by RQ decomposition. K has a positive diagonal
 /// and K(2,2) = 1. The overall sign of P is chosen so that det R = +1.
 struct DecomposedProjection {

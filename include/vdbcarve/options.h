@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "vdbcarve/backend.h"
-#include "vdbcarve/export.h"
+#include "vdbcarve/file_frame.h"
 #include "vdbcarve/filter.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/stage_visits.h"
@@ -147,7 +147,7 @@ void visit(O& o, V& v) {
 }
 
 struct FilterSettings {
-    std::optional<std::vector<FilterStep>> steps;  ///< none: chosen by how soft the masks are (src/filter.md)
+    std::optional<std::vector<FilterStep>> steps;  ///< none: chosen by how soft the masks are (src/surface/filter.md)
     bool repair_volume = true;
     double keep_thin_vox = 4;  ///< see FilterOptions; lowered to what the half-width allows
 };

@@ -8,13 +8,14 @@
 #include <vector>
 
 #include "vdbcarve/align.h"
-#include "vdbcarve/export.h"
+#include "vdbcarve/file_frame.h"
 #include "vdbcarve/mask.h"
 #include "vdbcarve/options.h"
 #include "vdbcarve/progress.h"
 #include "vdbcarve/triangle_mesh.h"
 #include "vdbcarve/video.h"
 #include "vdbcarve/views.h"
+#include "vdbcarve/result.h"
 
 namespace vdbcarve {
 
@@ -81,19 +82,6 @@ struct Reconstruction {
 /// Files of the result appear by rename; the same inputs give the same bytes (report.json and config.toml
 /// apart, which hold times and paths). Throws Error.
 Reconstruction reconstruct(const ReconstructOptions& options, Progress& progress);
-
-/// File names of the views' masks in output/masks, by view.
-std::vector<std::string> mask_names(const Views& views);
-
-/// The cameras of a result with their photographs, from where its report says that they are, or from the folder `images`; a view whose photograph is not there
-/// any more has none. Throws InputError.
-Views result_views(const std::filesystem::path& output, const std::filesystem::path& images, Progress& progress);
-
-/// The same of the last run in that folder, finished, failed or killed: the cameras that it went on with. Throws InputError, also where it never had any.
-Views last_views(const std::filesystem::path& output, const std::filesystem::path& images, Progress& progress);
-
-/// How a file of a result lies to the scene, as its report says; the scene's own frame where it says nothing.
-FileFrame frame_from_scene(const std::filesystem::path& output, const std::string& file);
 
 /// Empties output/stages of a folder that vdbcarve made; results stay. Returns the bytes freed.
 size_t clean(const std::filesystem::path& output);

@@ -59,7 +59,7 @@ Mesh read_mesh(const std::filesystem::path& file);
 
 /// Writes, by extension: .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue] [extrapolated]), .obj (v x y z [r g b], and a
 /// .mtl beside it), .stl (binary), .glb (float positions and normals, COLOR_0 as linear 16-bit RGBA, a matt material; _EXTRAPOLATED). Quads stay whole in .ply
-/// and .obj. Colours are sRGB elsewhere. Coordinates are written as they are: see export.h for axes and units. Appears by rename. Throws OutputError, and
+/// and .obj. Colours are sRGB elsewhere. Coordinates are written as they are: see file_frame.h for axes and units. Appears by rename. Throws OutputError, and
 /// UsageError for another extension.
 void write_mesh(const std::filesystem::path& file, const Mesh& mesh);
 

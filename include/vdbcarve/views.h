@@ -101,6 +101,9 @@ Photo load_photo(const View& view);
 /// The same in 8 bits a channel.
 Image8 load_photo8(const View& view);
 
+/// File names of the views' masks in a result's folder `masks`, by view.
+std::vector<std::string> mask_names(const Views& views);
+
 /// "image_2" before "image_10".
 bool natural_less(const std::string& a, const std::string& b);
 

@@ -2,7 +2,7 @@
 // Whether options make sense: each by itself, by the limits that its visit() states, and then with each other.
 #include "vdbcarve/config.h"
 #include "vdbcarve/error.h"
-#include "vdbcarve/export.h"
+#include "vdbcarve/file_frame.h"
 #include "vdbcarve/video.h"
 
 namespace vdbcarve {

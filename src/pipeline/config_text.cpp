@@ -6,7 +6,7 @@
 #include <fstream>
 #include <set>
 
-#include "text.h"
+#include "base/text.h"
 #include "vdbcarve/config.h"
 #include "vdbcarve/error.h"
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "known_hull.h"
+#include "pipeline/known_hull.h"
 
 #include <algorithm>
 #include <fstream>

@@ -10,7 +10,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "sha256.h"
+#include "base/sha256.h"
 #include "vdbcarve/align.h"
 #include "vdbcarve/board.h"
 #include "vdbcarve/filter.h"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "option_list.h"
+#include "pipeline/option_list.h"
 
 namespace vdbcarve {
 

@@ -8,7 +8,7 @@
 #include <fstream>
 #include <sstream>
 
-#include "text.h"
+#include "base/text.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/pipeline.h"
 #include "vdbcarve/smooth.h"

@@ -3,9 +3,9 @@
 
 #include <tbb/parallel_for.h>
 
-#include "statistics.h"
+#include "base/statistics.h"
 #include "support/same_grid.h"
-#include "triangle_tree.h"
+#include "mesh/triangle_tree.h"
 
 namespace vdbcarve::test {
 

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <fstream>
 
-#include "io_image.h"
+#include "image/image_io.h"
 
 namespace vdbcarve::test {
 

@@ -9,7 +9,7 @@
 #if defined(__CUDACC__)
 #define VDBCARVE_HD __host__ __device__ inline
 #elif defined(VDBCARVE_ISA)
-// Compiled once an instruction set (src/vector_loops.cpp): internal linkage keeps the linker from handing code
+// Compiled once an instruction set (src/base/vector_loops.cpp): internal linkage keeps the linker from handing code
 // made for AVX-512 to callers on a machine without it.
 #define VDBCARVE_HD static inline
 #else

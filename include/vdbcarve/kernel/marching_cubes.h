@@ -7,7 +7,7 @@
 // cells at the face draw the same lines on it and the surface is closed. Each cell's lines form loops, each crossing edge of the
 // cell in exactly one: the four cells around an edge give its vertex one fan. Loops are cut into triangles without a diagonal between
 // two edges of one face, which the neighbouring cell might draw too. Hence every mesh edge has two faces and every vertex one fan,
-// on any input (src/marching_cubes.cpp makes the table and the tests go through all cases and their neighbours).
+// on any input (src/mesh/marching_cubes.cpp makes the table and the tests go through all cases and their neighbours).
 #pragma once
 
 #include <cmath>

@@ -1,0 +1,584 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "align/mat/align_mat.h"
+
+#include <tbb/parallel_for.h>
+
+#include <Eigen/Dense>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <numbers>
+#include <numeric>
+#include <optional>
+#include <opencv2/calib3d.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "align/mat/aruco.h"
+#include "image/opencv_image.h"
+#include "align/orbit_model.h"
+#include "base/statistics.h"
+#include "base/text.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/file_frame.h"
+
+namespace vdbcarve {
+namespace {
+
+constexpr size_t kLeastCorners = 8;
+constexpr double kMostStretch = 0.05;  ///< of a marker: more than printers and curled paper do within the sheet
+
+/// What one photograph shows of the mat.
+struct Seen {
+    size_t view = 0;
+    std::vector<int> groups;
+    std::vector<cv::Point3f> layout_m;  ///< where the layout has the corners
+    std::vector<cv::Point3f> world_m;   ///< where the print has them, as far as is known
+    std::vector<cv::Point2f> image_px;
+
+    template <class Keep>
+    Seen only(const Keep& keep) const {
+        Seen out;
+        out.view = view;
+        for (size_t k = 0; k < groups.size(); ++k)
+            if (keep(k))
+                out.groups.push_back(groups[k]), out.layout_m.push_back(layout_m[k]), out.world_m.push_back(world_m[k]), out.image_px.push_back(image_px[k]);
+        return out;
+    }
+};
+
+struct Calibration {
+    cv::Mat k, distortion;
+    std::vector<cv::Mat> rvecs, tvecs;
+    double focal_sd_px = 0;
+
+    /// (OpenCV's matrices are references.)
+    Calibration copy() const {
+        Calibration out{k.clone(), distortion.clone(), {}, {}, focal_sd_px};
+        for (const cv::Mat& m : rvecs) out.rvecs.push_back(m.clone());
+        for (const cv::Mat& m : tvecs) out.tvecs.push_back(m.clone());
+        return out;
+    }
+};
+
+/// Distances between corners seen and corners as the calibration puts them, pixels.
+std::vector<double> errors_of(const Calibration& c, size_t index, const Seen& s) {
+    std::vector<cv::Point2f> projected;
+    cv::projectPoints(s.world_m, c.rvecs[index], c.tvecs[index], c.k, c.distortion, projected);
+    std::vector<double> out;
+    for (size_t k = 0; k < projected.size(); ++k) out.push_back(std::hypot(projected[k].x - s.image_px[k].x, projected[k].y - s.image_px[k].y));
+    return out;
+}
+
+double share_within_half_pixel(const std::vector<double>& errors_px) {
+    return static_cast<double>(std::count_if(errors_px.begin(), errors_px.end(), [](double x) { return x < 0.5; })) / static_cast<double>(errors_px.size());
+}
+
+/// A lens by how many of its quantities are free; each has those of the one before.
+struct LensRung {
+    const char* name;
+    int fixed;
+};
+constexpr int kPinhole = cv::CALIB_FIX_ASPECT_RATIO | cv::CALIB_ZERO_TANGENT_DIST | cv::CALIB_FIX_K3;
+const LensRung kLensRungs[] = {{"focal length", kPinhole | cv::CALIB_FIX_PRINCIPAL_POINT | cv::CALIB_FIX_K1 | cv::CALIB_FIX_K2},
+                               {"and k1", kPinhole | cv::CALIB_FIX_PRINCIPAL_POINT | cv::CALIB_FIX_K2},
+                               {"and principal point", kPinhole | cv::CALIB_FIX_K2},
+                               {"and k2", kPinhole}};
+
+class Calibrator {
+  public:
+    Calibrator(const Views& views, const AlignOptions& o)
+        : intrinsics_(views.views.front().camera.intrinsics), size_(intrinsics_.width_px, intrinsics_.height_px) {
+        focal_px_ = o.fov_deg > 0 ? 0.5 * size_.width / std::tan(o.fov_deg * std::numbers::pi / 360) : intrinsics_.fx > 0 ? intrinsics_.fx : 0;
+        centre_ = o.principal_point_px.value_or(intrinsics_.fx > 0 ? Vec2d(intrinsics_.cx, intrinsics_.cy) : Vec2d(0.5 * size_.width, 0.5 * size_.height));
+        centre_known_ = o.principal_point_px.has_value();
+        calibrated_ = views.posed;
+    }
+    bool calibrated() const { return calibrated_; }
+    int flags_of(const LensRung& rung) const {
+        return rung.fixed | cv::CALIB_USE_INTRINSIC_GUESS | (centre_known_ ? static_cast<int>(cv::CALIB_FIX_PRINCIPAL_POINT) : 0);
+    }
+
+    /// All views together.
+    Calibration fit(const std::vector<Seen>& seen, const LensRung& rung) const {
+        Calibration out;
+        const double f = focal_px_ > 0 ? focal_px_ : 1.2 * std::max(size_.width, size_.height);
+        out.k = (cv::Mat_<double>(3, 3) << f, 0, centre_.x(), 0, f, centre_.y(), 0, 0, 1);
+        out.distortion = cv::Mat::zeros(1, 5, CV_64F);
+        std::vector<std::vector<cv::Point3f>> world;
+        std::vector<std::vector<cv::Point2f>> image;
+        for (const Seen& s : seen) world.push_back(s.world_m), image.push_back(s.image_px);
+        if (calibrated_) {
+            out.k = (cv::Mat_<double>(3, 3) << intrinsics_.fx, 0, intrinsics_.cx, 0, intrinsics_.fy, intrinsics_.cy, 0, 0, 1);
+            out.rvecs.resize(seen.size());
+            out.tvecs.resize(seen.size());
+        } else {
+            cv::Mat sd, unused, errors;
+            if (focal_px_ == 0) {  // what the plane's homographies say; their principal point is half a pixel off, and is not taken
+                const double found = cv::initCameraMatrix2D(world, image, size_, 1).at<double>(0, 0);
+                if (std::isfinite(found) && found > 0.2 * size_.width && found < 50 * size_.width) out.k.at<double>(0, 0) = out.k.at<double>(1, 1) = found;
+            }
+            const double found = cv::calibrateCamera(world, image, size_, out.k, out.distortion, out.rvecs, out.tvecs, sd, unused, errors, flags_of(rung),
+                                                     {cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-10});
+            if (!std::isfinite(found))
+                throw UndeterminedError(
+                    "--method mat: the camera cannot be calibrated from these views of the mat. Remedy: --fov, and views from several heights");
+            out.focal_sd_px = std::max(sd.at<double>(0), sd.at<double>(1));  // one of them is tied to the other
+        }
+        // A plane seen from afar has two places that look almost alike: the better one, for every view.
+        for (size_t i = 0; i < seen.size(); ++i) {
+            std::vector<cv::Mat> rs, ts;
+            cv::solvePnPGeneric(world[i], image[i], out.k, out.distortion, rs, ts, false, cv::SOLVEPNP_IPPE);
+            double best = std::numeric_limits<double>::infinity();
+            if (!calibrated_) best = rms(errors_of(out, i, seen[i]));
+            for (size_t s = 0; s < rs.size(); ++s) {
+                Calibration c = out;
+                cv::solvePnPRefineLM(world[i], image[i], out.k, out.distortion, rs[s], ts[s]);
+                c.rvecs[i] = rs[s], c.tvecs[i] = ts[s];
+                const double e = rms(errors_of(c, i, seen[i]));
+                if (e < 0.99 * best) best = e, out.rvecs[i] = rs[s], out.tvecs[i] = ts[s];
+            }
+        }
+        return out;
+    }
+
+  private:
+    Intrinsics intrinsics_;
+    cv::Size size_;
+    double focal_px_ = 0;
+    Vec2d centre_;
+    bool centre_known_ = false, calibrated_ = false;
+};
+
+/// A print as it came out of the printer.
+using Print = std::map<std::pair<float, float>, cv::Point3f>;  // by place in the layout
+
+void set_print(std::vector<Seen>& seen, const Print& print) {
+    for (Seen& s : seen)
+        for (size_t k = 0; k < s.layout_m.size(); ++k)
+            if (const auto at = print.find({s.layout_m[k].x, s.layout_m[k].y}); at != print.end()) s.world_m[k] = at->second;
+}
+
+/// Calibration by Gauss and Newton's method on everything together, poses and lens, and, where `print` is given, on where the corners really are: printers
+/// stretch paper, and paper is not flat (Strobl and Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", ICCV workshops 2011).
+/// Corners are held near the layout by priors, which keep the world's place and size.
+void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_flags, Print* print) {
+    constexpr double kCorner_px = 0.3, kInPlane_m = 0.001, kOffPlane_m = 0.005;
+    std::map<std::pair<float, float>, int> corner_of;
+    if (print)
+        for (const Seen& s : seen)
+            for (const cv::Point3f& p : s.layout_m) corner_of.try_emplace({p.x, p.y}, 0);
+    // Of the lens f, cx, cy, k1, k2, as calibrateCamera() would free them.
+    std::vector<int> free_lens;
+    if (lens_flags) {
+        free_lens = {0};
+        if (!(*lens_flags & cv::CALIB_FIX_PRINCIPAL_POINT)) free_lens.insert(free_lens.end(), {1, 2});
+        if (!(*lens_flags & cv::CALIB_FIX_K1)) free_lens.push_back(3);
+        if (!(*lens_flags & cv::CALIB_FIX_K2)) free_lens.push_back(4);
+    }
+    const int poses = static_cast<int>(6 * seen.size()), lens = static_cast<int>(free_lens.size());
+    int size = poses + lens;
+    for (auto& [key, at] : corner_of) at = size, size += 3;
+    double last = std::numeric_limits<double>::infinity(), damping = 1e-6, observations = 0;
+    for (const Seen& s : seen) observations += 2.0 * static_cast<double>(s.groups.size());
+    Calibration best = c.copy();
+    Print best_print = print ? *print : Print();
+    Eigen::MatrixXd best_h;
+    Eigen::VectorXd best_g;
+    int rejected = 0;
+    for (int iteration = 0; iteration < 30; ++iteration) {
+        Eigen::MatrixXd h = Eigen::MatrixXd::Zero(size, size);
+        Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
+        double cost = 0;
+        for (size_t i = 0; i < seen.size(); ++i) {
+            cv::Mat jacobian, rotation;
+            std::vector<cv::Point2f> projected;
+            cv::projectPoints(seen[i].world_m, c.rvecs[i], c.tvecs[i], c.k, c.distortion, projected, jacobian);
+            cv::Rodrigues(c.rvecs[i], rotation);
+            for (size_t k = 0; k < projected.size(); ++k) {
+                const double dx = projected[k].x - seen[i].image_px[k].x, dy = projected[k].y - seen[i].image_px[k].y;
+                const double off = std::hypot(dx, dy) / kCorner_px, weight = (off < 3 ? 1 : 3 / off) / (kCorner_px * kCorner_px);  // Huber's
+                cost += weight * (dx * dx + dy * dy);
+                std::vector<int> at;
+                std::vector<Vec2d> by;
+                const auto column = [&](int from) {
+                    return Vec2d(jacobian.at<double>(static_cast<int>(2 * k), from), jacobian.at<double>(static_cast<int>(2 * k + 1), from));
+                };
+                for (int q = 0; q < 6; ++q) at.push_back(static_cast<int>(6 * i) + q), by.push_back(column(q));
+                for (int q = 0; q < lens; ++q) {
+                    const int which = free_lens[static_cast<size_t>(q)];
+                    at.push_back(poses + q), by.push_back(which == 0 ? column(6) + column(7) : column(7 + which));
+                }
+                if (print) {
+                    const int first = corner_of.at({seen[i].layout_m[k].x, seen[i].layout_m[k].y});
+                    for (int q = 0; q < 3; ++q) {
+                        Vec2d sum = Vec2d::Zero();
+                        for (int r = 0; r < 3; ++r) sum += rotation.at<double>(r, q) * column(3 + r);  // as the translation moves it
+                        at.push_back(first + q), by.push_back(sum);
+                    }
+                }
+                for (size_t p = 0; p < at.size(); ++p) {
+                    g[at[p]] += weight * by[p].dot(Vec2d(dx, dy));
+                    for (size_t q = 0; q < at.size(); ++q) h(at[p], at[q]) += weight * by[p].dot(by[q]);
+                }
+            }
+        }
+        if (print)
+            for (const auto& [key, first] : corner_of) {
+                const cv::Point3f now = print->count(key) ? print->at(key) : cv::Point3f(key.first, key.second, 0);
+                const double off[3] = {now.x - key.first, now.y - key.second, now.z}, sigma[3] = {kInPlane_m, kInPlane_m, kOffPlane_m};
+                for (int q = 0; q < 3; ++q) {
+                    h(first + q, first + q) += 1 / (sigma[q] * sigma[q]);
+                    g[first + q] += off[q] / (sigma[q] * sigma[q]);
+                    cost += off[q] * off[q] / (sigma[q] * sigma[q]);
+                }
+            }
+        if (!(cost < last)) {  // the last step was none
+            c = best.copy();
+            if (print) *print = best_print, set_print(seen, *print);
+            if (++rejected > 3) break;
+            damping *= 30;
+        } else {
+            const bool settled = cost > (1 - 1e-5) * last && iteration > 4;
+            last = cost, best_h = h, best_g = g;
+            if (lens > 0) {
+                const double freedom = std::max(1.0, observations - size),
+                             variance = h.ldlt().solve(Eigen::VectorXd::Unit(size, poses))[poses] * std::max(1.0, cost / freedom);
+                c.focal_sd_px = variance > 0 ? std::sqrt(variance) : 0;
+            }
+            best = c.copy();
+            if (print) best_print = *print;
+            if (settled) break;
+            damping *= 0.3;
+        }
+        h = best_h, g = best_g;
+        Eigen::MatrixXd damped = h;
+        damped.diagonal() *= 1 + damping;
+        const Eigen::VectorXd step = -damped.ldlt().solve(g);
+        for (size_t i = 0; i < seen.size(); ++i)
+            for (int q = 0; q < 3; ++q) {
+                c.rvecs[i].at<double>(q) += step[static_cast<Eigen::Index>(6 * i) + q];
+                c.tvecs[i].at<double>(q) += step[static_cast<Eigen::Index>(6 * i) + 3 + q];
+            }
+        for (int q = 0; q < lens; ++q) {
+            const int which = free_lens[static_cast<size_t>(q)];
+            const double by = step[poses + q];
+            if (which == 0) c.k.at<double>(0, 0) += by, c.k.at<double>(1, 1) += by;
+            else if (which < 3) c.k.at<double>(which - 1, 2) += by;
+            else c.distortion.at<double>(which - 3) += by;
+        }
+        if (!print) continue;
+        for (const auto& [key, first] : corner_of) {
+            cv::Point3f& at = print->try_emplace(key, cv::Point3f(key.first, key.second, 0)).first->second;
+            at.x += static_cast<float>(step[first]), at.y += static_cast<float>(step[first + 1]), at.z += static_cast<float>(step[first + 2]);
+        }
+        set_print(seen, *print);
+    }
+    c = best;
+    if (print) *print = best_print, set_print(seen, *print);
+}
+
+Image8 grey_of(const View& view) { return io::read_grey(view.image_path, view.orientation, view.camera.intrinsics, view.lens); }
+
+/// The views that fit worst, with the corners found (green) and where the cameras put all of the mat's corners (red).
+Image8 picture_of(const Views& views, const std::vector<Seen>& seen, const Calibration& c, const std::vector<double>& errors_px) {
+    std::vector<size_t> order(seen.size());
+    std::iota(order.begin(), order.end(), size_t{0});
+    std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return errors_px[a] > errors_px[b]; });
+    order.resize(std::min<size_t>(order.size(), 6));
+    constexpr int kWidth = 640;
+    std::vector<cv::Mat> tiles;
+    for (const size_t i : order) {
+        const Image8 grey = grey_of(views.views[seen[i].view]);
+        cv::Mat tile;
+        const double scale = static_cast<double>(kWidth) / grey.width;
+        cv::resize(io::wrap(grey.view()), tile, {}, scale, scale, cv::INTER_AREA);
+        cv::cvtColor(tile, tile, cv::COLOR_GRAY2RGB);
+        std::vector<cv::Point2f> projected;
+        cv::projectPoints(seen[i].world_m, c.rvecs[i], c.tvecs[i], c.k, c.distortion, projected);
+        constexpr int kShift = 4;  // fractions of a pixel
+        const auto at = [&](const cv::Point2f& p) {
+            return cv::Point(static_cast<int>(std::lround((p.x * scale - 0.5) * (1 << kShift))),
+                             static_cast<int>(std::lround((p.y * scale - 0.5) * (1 << kShift))));
+        };
+        for (size_t k = 0; k < projected.size(); ++k) {
+            cv::circle(tile, at(seen[i].image_px[k]), 3 << kShift, {0, 200, 0}, 1, cv::LINE_AA, kShift);
+            cv::line(tile, at(seen[i].image_px[k]), at(projected[k]), {255, 0, 0}, 1, cv::LINE_AA, kShift);
+        }
+        std::vector<cv::Point2f> axes;
+        const auto length = static_cast<float>(0.05);
+        cv::projectPoints(std::vector<cv::Point3f>{{0, 0, 0}, {length, 0, 0}, {0, length, 0}, {0, 0, length}}, c.rvecs[i], c.tvecs[i], c.k, c.distortion, axes);
+        const cv::Scalar colours[] = {{255, 0, 0}, {0, 200, 0}, {60, 60, 255}};
+        for (int a = 0; a < 3; ++a) cv::line(tile, at(axes[0]), at(axes[static_cast<size_t>(a) + 1]), colours[a], 2, cv::LINE_AA, kShift);
+        cv::putText(tile, views.views[seen[i].view].name + text_of("  %.2f px", errors_px[i]), {8, 20}, cv::FONT_HERSHEY_SIMPLEX, 0.5, {255, 255, 0}, 1,
+                    cv::LINE_AA);
+        tiles.push_back(tile);
+    }
+    int rows = 0, height = 0;
+    for (const cv::Mat& t : tiles) height = std::max(height, t.rows);
+    rows = (static_cast<int>(tiles.size()) + 1) / 2;
+    cv::Mat sheet(rows * height, 2 * kWidth, CV_8UC3, cv::Scalar(0, 0, 0));
+    for (size_t t = 0; t < tiles.size(); ++t)
+        tiles[t].copyTo(sheet({static_cast<int>(t % 2) * kWidth, static_cast<int>(t / 2) * height, tiles[t].cols, tiles[t].rows}));
+    return io::unwrap(sheet);
+}
+
+}  // namespace
+
+namespace {
+
+AlignResult find_cameras(const Views& given, const AlignOptions& o, Progress& progress) {
+    const MatLayout& mat = *o.mat;
+    const double metres = o.units.empty() ? 1 : metres_per(o.units).value_or(0);
+    if (metres == 0)
+        throw UsageError("--units " + o.units + ": a mat is measured in metres; what those are in this unit is not known. Remedy: m, cm, mm, inch");
+    progress.begin("align", static_cast<int>(given.views.size()) + 3);
+    // ---------------------------------------------------------------------------------- corners
+    std::vector<Seen> all(given.views.size());
+    for (const View& v : given.views) {
+        if (v.image_path.empty()) throw InputError("--method mat: view " + v.name + " has no photograph to find the mat in");
+        const Intrinsics &k = v.camera.intrinsics, &first = given.views.front().camera.intrinsics;
+        if (given.posed && (k.orthographic || k.skew != 0 || std::fabs(k.fx - first.fx) > 1e-6 * first.fx || std::fabs(k.fy - first.fy) > 1e-6 * first.fy ||
+                            std::fabs(k.cx - first.cx) > 1e-3 || std::fabs(k.cy - first.cy) > 1e-3))
+            throw InputError("--method mat: the camera file's lens of view " + v.name + " is not that of " + given.views.front().name +
+                             ", or is skewed or parallel: one camera at one focus is wanted. Remedy: --cameras none, the lens is then found");
+        if (!given.posed && (k.width_px != first.width_px || k.height_px != first.height_px))
+            throw InputError(text_of(
+                "--method mat: %s has %d x %d pixels and %s %d x %d: one camera at one focus, held one way, is calibrated. Remedy: sort them into one run each",
+                v.name.c_str(), k.width_px, k.height_px, given.views.front().name.c_str(), first.width_px, first.height_px));
+    }
+    tbb::parallel_for(size_t{0}, given.views.size(), [&](size_t i) {
+        progress.check();
+        all[i].view = i;
+        std::vector<MatCorner> corners;
+        try {
+            corners = find_mat(mat, grey_of(given.views[i]).view());
+        } catch (const cv::Exception& e) {
+            throw InputError(given.views[i].image_path.string() + ": markers cannot be looked for in it: " + e.what());
+        }
+        for (const MatCorner& c : corners) {
+            all[i].groups.push_back(c.group);
+            all[i].layout_m.emplace_back(static_cast<float>(c.mat_m.x() - 0.5 * mat.width_m()), static_cast<float>(0.5 * mat.height_m() - c.mat_m.y()), 0.f);
+            all[i].image_px.emplace_back(static_cast<float>(c.image_px.x()), static_cast<float>(c.image_px.y()));
+        }
+        all[i].world_m = all[i].layout_m;
+        progress.step(1);
+    });
+    AlignResult out;
+    out.method = o.method;
+    out.orbit = Orbit::HandHeld;
+    std::vector<Seen> seen;
+    const auto enough = [](const Seen& s) {
+        if (s.groups.size() < kLeastCorners) return false;
+        // Not all on a line, or nearly so.
+        cv::Mat points(static_cast<int>(s.world_m.size()), 2, CV_32F);
+        for (size_t k = 0; k < s.world_m.size(); ++k)
+            points.at<float>(static_cast<int>(k), 0) = s.world_m[k].x, points.at<float>(static_cast<int>(k), 1) = s.world_m[k].y;
+        const cv::PCA axes(points, cv::noArray(), cv::PCA::DATA_AS_ROW);
+        return axes.eigenvalues.at<float>(1) > 0.003F * axes.eigenvalues.at<float>(0);
+    };
+    for (const Seen& s : all)
+        if (enough(s)) seen.push_back(s);
+    if (seen.size() < 4)
+        throw InputError(
+            text_of("--method mat: the mat (%d x %d, %s) is seen in %zu of %zu views; at least 4 are needed. Remedy: check --mat against the print (the layout "
+                    "file beside it says it): dictionary, columns, rows; sharper photographs, more of the mat in frame",
+                    mat.columns, mat.rows, mat.dictionary.c_str(), seen.size(), given.views.size()));
+    const Calibrator calibrator(given, o);
+    if (calibrator.calibrated() && (o.fov_deg > 0 || o.principal_point_px))
+        throw UsageError(
+            "--method mat: the cameras given say lens and principal point: --fov and --principal-point would say it again. Remedy: --cameras none, or without "
+            "them");
+    // ---------------------------------------------------------------------------------- lens
+    const LensRung* rung = &kLensRungs[0];
+    if (!calibrator.calibrated()) {
+        // Each rung is fitted to half of the markers and judged by the others.
+        std::vector<Seen> fitted, held;
+        for (const Seen& s : seen) {
+            const auto half = [&](int which) { return s.only([&](size_t k) { return s.groups[k] % 2 == which; }); };
+            if (enough(half(0)) && !half(1).groups.empty()) fitted.push_back(half(0)), held.push_back(half(1));
+        }
+        double least = std::numeric_limits<double>::infinity();
+        for (const LensRung& r : kLensRungs) {
+            if (fitted.size() < 4) break;
+            const Calibration c = calibrator.fit(fitted, r);
+            std::vector<double> errors;
+            for (size_t i = 0; i < held.size(); ++i)
+                for (double e : errors_of(c, i, held[i])) errors.push_back(e);
+            const double found = percentile(errors, 0.8);
+            progress.detail(text_of("lens: %s: held-out corners within %.3f px (80 %%), f %.1f +- %.1f, centre %.1f %.1f, k1 %.4f k2 %.4f", r.name, found,
+                                    c.k.at<double>(0, 0), c.focal_sd_px, c.k.at<double>(0, 2), c.k.at<double>(1, 2), c.distortion.at<double>(0),
+                                    c.distortion.at<double>(1)));
+            if (found < 0.95 * least - 0.002) least = found, rung = &r;
+        }
+    }
+    progress.step(1);
+    // ---------------------------------------------------------------------------------- places
+    Calibration c;
+    std::vector<double> errors_px;
+    for (int round = 0; round < 4; ++round) {
+        c = calibrator.fit(seen, *rung);
+        std::vector<double> every;
+        errors_px.clear();
+        for (size_t i = 0; i < seen.size(); ++i) {
+            const std::vector<double> e = errors_of(c, i, seen[i]);
+            every.insert(every.end(), e.begin(), e.end());
+            errors_px.push_back(rms(e));
+        }
+        // A corner that is far off is not the corner; a view that is, not sharp.
+        const double corner_limit = std::max(1.0, 5 * median(every)), view_limit = std::max(1.5, 4 * median(errors_px));
+        std::vector<Seen> kept;
+        bool changed = false;
+        for (size_t i = 0; i < seen.size(); ++i) {
+            const std::vector<double> e = errors_of(c, i, seen[i]);
+            const Seen s = seen[i].only([&](size_t k) { return e[k] <= corner_limit; });
+            const bool stays = errors_px[i] <= view_limit && enough(s);
+            changed |= !stays || s.groups.size() != seen[i].groups.size();
+            if (stays) kept.push_back(s);
+        }
+        if (!changed || kept.size() < 4 || round == 3) break;
+        seen = std::move(kept);
+    }
+    // ---------------------------------------------------------------------------------- print
+    // Learnt from every other view, does it hold for the rest?
+    // Whose lens was chosen while the print was thought perfect: all of it is asked again.
+    const std::optional<int> lens_flags = calibrator.calibrated() ? std::nullopt : std::optional(calibrator.flags_of(kLensRungs[3]));
+    double print_off_m = 0, print_stretched_m = 0;
+    if (seen.size() >= 10 && median(errors_px) > 0.3) {
+        std::array<std::vector<Seen>, 2> half;
+        std::array<Calibration, 2> calibrated;
+        for (size_t i = 0; i < seen.size(); ++i) {
+            half[i % 2].push_back(seen[i]);
+            calibrated[i % 2].rvecs.push_back(c.rvecs[i].clone()), calibrated[i % 2].tvecs.push_back(c.tvecs[i].clone());
+        }
+        for (Calibration& x : calibrated) x.k = c.k.clone(), x.distortion = c.distortion.clone();
+        const auto rms_after_fit = [&](const Calibration& start) {
+            Calibration from = start.copy();
+            bundle(from, half[1], lens_flags, nullptr);
+            std::vector<double> errors;
+            for (size_t i = 0; i < half[1].size(); ++i)
+                for (double e : errors_of(from, i, half[1][i])) errors.push_back(e);
+            return rms(errors);
+        };
+        const double as_meant = rms_after_fit(calibrated[1]);
+        Print print;
+        bundle(calibrated[0], half[0], lens_flags, &print);
+        set_print(half[1], print);
+        const double as_printed = rms_after_fit(calibrated[1]);
+        progress.detail(text_of("print: %.3f px as the layout says, %.3f px as the other views saw it", as_meant, as_printed));
+        if (as_printed < 0.7 * as_meant) {
+            Print whole;
+            bundle(c, seen, lens_flags, &whole);
+            std::vector<double> off, in_plane;
+            for (const auto& [key, at] : whole) {
+                const cv::Point3f by = at - cv::Point3f(key.first, key.second, 0);
+                off.push_back(cv::norm(by)), in_plane.push_back(std::hypot(by.x, by.y));
+            }
+            print_off_m = rms(off), print_stretched_m = rms(in_plane);
+            progress.detail(text_of("print: corners %.2f mm (rms) off, %.2f mm of it within the sheet", 1e3 * print_off_m, 1e3 * print_stretched_m));
+            for (size_t i = 0; i < seen.size(); ++i) errors_px[i] = rms(errors_of(c, i, seen[i]));
+        }
+    }
+    progress.step(1);
+    // ---------------------------------------------------------------------------------- cameras
+    out.views = given;
+    out.views.views.clear();
+    std::vector<double> every, elevations;
+    for (size_t i = 0; i < seen.size(); ++i) {
+        View v = given.views[seen[i].view];
+        Intrinsics& k = v.camera.intrinsics;
+        if (!calibrator.calibrated()) {
+            k.fx = c.k.at<double>(0, 0), k.fy = c.k.at<double>(1, 1), k.cx = c.k.at<double>(0, 2), k.cy = c.k.at<double>(1, 2);
+            const double k1 = c.distortion.at<double>(0), k2 = c.distortion.at<double>(1);
+            if (k2 != 0) v.lens = {Lens::Model::Radial, {k1, k2}};
+            else if (k1 != 0) v.lens = {Lens::Model::SimpleRadial, {k1}};
+        }
+        cv::Mat r;
+        cv::Rodrigues(c.rvecs[i], r);
+        Rigid3& pose = v.camera.camera_from_world;
+        for (int a = 0; a < 3; ++a) {
+            for (int b = 0; b < 3; ++b) pose.rotation(a, b) = r.at<double>(a, b);
+            pose.translation[a] = c.tvecs[i].at<double>(a) / metres;
+        }
+        pose.rotation = nearest_rotation(pose.rotation);
+        v.sitting = "0";
+        v.unused.clear();
+        const Vec3d centre = v.camera.centre_world();
+        elevations.push_back(std::asin(centre.z() / centre.norm()) / kRadians);
+        AlignedView a;
+        a.name = v.name;
+        a.residual_px = errors_px[i];
+        const std::vector<double> e = errors_of(c, i, seen[i]);
+        a.residual_p95_px = percentile(e, 0.95);
+        a.coherent = share_within_half_pixel(e);
+        every.insert(every.end(), e.begin(), e.end());
+        out.aligned.push_back(a);
+        out.views.views.push_back(v);
+    }
+    const std::vector<double> azimuths = azimuths_rad(out.views.cameras(), Vec3d::Zero(), Vec3d::UnitZ());
+    for (size_t i = 0; i < azimuths.size(); ++i) out.aligned[i].azimuth_deg = azimuths[i] / kRadians;
+    for (const View& v : given.views)
+        if (std::none_of(out.aligned.begin(), out.aligned.end(), [&](const AlignedView& a) { return a.name == v.name; })) out.left_out.push_back(v.name);
+    out.views.sittings = {Sitting{}};
+    out.views.up = "z";
+    out.views.units = o.units.empty() ? "m" : o.units;
+    out.views.floor = 0;
+    out.views.format = "mat";
+    out.views.metric = out.views.posed = true;
+    out.direction = turned_rad(azimuths) > 0 ? Turn::Clockwise : Turn::Counterclockwise;  // the object's, before a camera that walks the other way
+    out.rms_px = rms(every);
+    out.coherent = share_within_half_pixel(every);
+    const Intrinsics& k = out.views.views.front().camera.intrinsics;
+    out.focal_px = k.fx;
+    out.focal_start_px = given.views.front().camera.intrinsics.fx;
+    out.focal_sd_px = c.focal_sd_px;
+    out.elevation_deg = median(elevations);
+    out.principal_x_px = k.cx, out.principal_y_px = k.cy;
+    out.picture_name = "mat";
+    out.picture = picture_of(given, seen, c, errors_px);
+    if (!out.left_out.empty())
+        out.warnings.push_back(
+            text_of("%s left out, the mat is not seen well enough: %s", counted(out.left_out.size(), "view").c_str(), some_of(out.left_out).c_str()));
+    const bool another_mat = print_stretched_m > kMostStretch * mat.marker_m;
+    if (print_off_m > 0 && !another_mat)
+        out.warnings.push_back(
+            text_of("the print is not quite the mat that --mat says: its corners are %.2f mm (rms) from where they should be, all views agree. That was "
+                    "allowed for, and the scale is that of the layout as a whole. Remedy: measure the print "
+                    "(and print at 100 %%, on stiff paper)",
+                    1e3 * print_off_m));
+    const double allowed = std::max(2.0, k.width_px / 500.0);
+    if (another_mat)
+        out.failures.push_back(
+            text_of("the corners of the print lie %.2f mm (rms) from where --mat says, within the sheet: no printer does that to markers of %.1f mm. Remedy: "
+                    "measure a marker and a gap (or square), and give --mat what you measured",
+                    1e3 * print_stretched_m, 1e3 * mat.marker_m));
+    else if (out.rms_px > allowed)
+        out.failures.push_back(text_of(
+            "the mat's corners are %.2f px (rms) from where the cameras put them, at most %.2f px may be: another mat than --mat says (the sizes of markers "
+            "and gaps, columns, rows), a mat that is not flat, or a zoom or focus that changed. Remedy: check --mat; mat.png shows what was found where",
+            out.rms_px, allowed));
+    if (c.focal_sd_px > 0.02 * k.fx)
+        out.warnings.push_back(
+            text_of("the focal length is uncertain by %.0f %% (%.0f +- %.0f px); the mat was seen from %.0f to %.0f degrees of elevation. Remedy: a few views "
+                    "from higher and lower",
+                    100 * c.focal_sd_px / k.fx, k.fx, c.focal_sd_px, *std::min_element(elevations.begin(), elevations.end()),
+                    *std::max_element(elevations.begin(), elevations.end())));
+    if (c.focal_sd_px > 0.15 * k.fx)
+        out.failures.push_back(
+            text_of("the mat does not say what the focal length is (%.0f +- %.0f px). Remedy: views from higher and lower", k.fx, c.focal_sd_px));
+    progress.step(1);
+    return out;
+}
+
+}  // namespace
+
+AlignResult align_to_mat(const Views& given, const AlignOptions& o, Progress& progress) {
+    try {
+        return find_cameras(given, o, progress);
+    } catch (const cv::Exception& e) {
+        throw UndeterminedError(std::string("--method mat: the views of the mat do not determine a camera: ") + e.what() +
+                                ". Remedy: more views, from several heights");
+    }
+}
+
+}  // namespace vdbcarve

@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: Apache-2.0
+// Notes in the folder of a result.
+#pragma once
+
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+namespace vdbcarve {
+
+/// In every folder that vdbcarve made, from the first stage of a run on.
+inline constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
+
+/// What a file of ours holds; an empty object where it is missing or damaged.
+inline nlohmann::json parse_or_empty(const std::filesystem::path& file) {
+    try {
+        std::ifstream in(file);
+        return in ? nlohmann::json::parse(in) : nlohmann::json::object();
+    } catch (const nlohmann::json::exception&) {
+        return nlohmann::json::object();  // a note of ours that was damaged is as good as none
+    }
+}
+
+}  // namespace vdbcarve
