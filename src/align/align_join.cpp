@@ -62,91 +62,124 @@ Outline outline_of(const CoherenceFit& f) {
     return out;
 }
 
-RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups,
-                              RingAligner& joint, std::vector<AlignRung>& rungs, std::vector<std::string>& failures, Progress& progress) {
-    std::vector<RingAligner::Best> parts;
-    std::vector<Candidate> leads;
-    Turn direction = o.direction;
-    for (const Group& g : groups) {
-        Views views = given;
-        views.views = {given.views.begin() + static_cast<long>(g.first), given.views.begin() + static_cast<long>(g.first + g.count)};
-        const std::vector<MaskView> some(masks.begin() + static_cast<long>(g.first), masks.begin() + static_cast<long>(g.first + g.count));
-        AlignOptions own = o;
-        own.rings.clear();
-        own.sittings.clear();
-        own.direction = direction;
-        if (!o.angles_deg.empty())
-            own.angles_deg = {o.angles_deg.begin() + static_cast<long>(g.first), o.angles_deg.begin() + static_cast<long>(g.first + g.count)};
-        RingAligner aligner(views, some, own, progress);
-        std::vector<AlignRung> tried;
-        parts.push_back(aligner.run(tried));
-        leads.push_back(RingAligner::lead(parts.back()));
-        if (leads.back().rms_px() > std::max(1.5, aligner.silhouettes().size_px() / 250))
-            failures.push_back(text_of("the ring of %s to %s does not fit together by itself (%.2f px)", views.views.front().name.c_str(),
-                                       views.views.back().name.c_str(), leads.back().rms_px()));
-        direction = leads.back().turn;
+namespace {
+
+/// Rings are aligned one by one, put into one model, and turned until they fit together.
+class GroupJoin {
+  public:
+    GroupJoin(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups, RingAligner& joint,
+              std::vector<AlignRung>& rungs, std::vector<std::string>& failures, Progress& progress)
+        : given_(given), masks_(masks), o_(o), groups_(groups), joint_(joint), rungs_(rungs), failures_(failures), progress_(progress), random_(o.seed) {}
+
+    RingAligner::Best run() {
+        align_each();
+        make_model();
+        const Outline scene = outline_of(leads_[0].fit);
+        for (size_t r = 1; r < groups_.size(); ++r) place(r, scene);
+        OrbitModel& m = all_.fit.model;
+        joint_.free_parts(m, all_.orbit);
+        m.global(OrbitModel::LnArc).hold(0);
+        joint_.fit(all_, joint_.coarse(), 1);
+        joint_.polish(all_);
+        rungs_.push_back({all_.orbit, all_.turn, all_.rms_px(), 0, static_cast<int>(m.free().size())});
+        RingAligner::Best out;
+        out[all_.turn] = all_;
+        for (auto& [turn, c] : parts_.front())
+            if (turn != all_.turn) out[turn] = c;  // for its residual: the others were only tried in the first one's direction
+        return out;
     }
-    // One model of all views: angles as found, everything else where it was.
-    std::vector<OrbitView> views;
-    for (size_t r = 0; r < groups.size(); ++r)
-        for (size_t k = 0; k < groups[r].count; ++k) {
-            OrbitView v = leads[r].fit.model.view(k);
-            v.azimuth_rad = leads[r].fit.model.azimuth(k);
-            v.ring = static_cast<int>(r);
-            views.push_back(v);
+
+  private:
+    void align_each() {
+        Turn direction = o_.direction;
+        for (const Group& g : groups_) {
+            Views views = given_;
+            views.views = {given_.views.begin() + static_cast<long>(g.first), given_.views.begin() + static_cast<long>(g.first + g.count)};
+            const std::vector<MaskView> some(masks_.begin() + static_cast<long>(g.first), masks_.begin() + static_cast<long>(g.first + g.count));
+            AlignOptions own = o_;
+            own.rings.clear();
+            own.sittings.clear();
+            own.direction = direction;
+            if (!o_.angles_deg.empty())
+                own.angles_deg = {o_.angles_deg.begin() + static_cast<long>(g.first), o_.angles_deg.begin() + static_cast<long>(g.first + g.count)};
+            RingAligner aligner(views, some, own, progress_);
+            std::vector<AlignRung> tried;
+            parts_.push_back(aligner.run(tried));
+            leads_.push_back(RingAligner::lead(parts_.back()));
+            if (leads_.back().rms_px() > std::max(1.5, aligner.silhouettes().size_px() / 250))
+                failures_.push_back(text_of("the ring of %s to %s does not fit together by itself (%.2f px)", views.views.front().name.c_str(),
+                                            views.views.back().name.c_str(), leads_.back().rms_px()));
+            direction = leads_.back().turn;
         }
-    Candidate all = leads[0];
-    OrbitModel& m = all.fit.model = OrbitModel(views, static_cast<int>(groups.size()));
-    for (const Candidate& c : leads)
-        if (c.orbit > all.orbit) all.orbit = c.orbit;
-    const double share = 1.0 / static_cast<double>(groups.size());
-    for (size_t r = 0; r < groups.size(); ++r) {
-        const OrbitModel& own = leads[r].fit.model;
-        for (const auto which : {OrbitModel::LnFocal, OrbitModel::CentreX, OrbitModel::CentreY}) m.global(which).value += share * own.global(which).value;
-        for (const auto part : {OrbitModel::Elevation, OrbitModel::RingHeight, OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll})
-            m.ring(r, part).value = own.ring(0, part).value;
-        for (size_t k = 0; k < groups[r].count; ++k)
-            for (int part = OrbitModel::Pan; part < OrbitModel::kViewParts; ++part) {
-                const auto p = static_cast<OrbitModel::ViewPart>(part);
-                m.of(groups[r].first + k, p).value = own.of(k, p).value;
-                if (all.orbit == Orbit::HandHeld && leads[r].orbit != Orbit::HandHeld)
-                    for (const auto& [shared, mine] :
-                         {std::pair{OrbitModel::RingPan, OrbitModel::Pan}, {OrbitModel::RingTilt, OrbitModel::Tilt}, {OrbitModel::RingRoll, OrbitModel::Roll}})
-                        if (p == mine) m.of(groups[r].first + k, p).value += own.ring(0, shared).value;
-            }
-        if (all.orbit == Orbit::HandHeld)
-            for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll}) m.ring(r, part).hold(0);
     }
-    // How the others lie to the first.
-    Silhouettes& s = joint.silhouettes();
-    const CoherencePass pass = joint.coarse();
-    const Outline scene = outline_of(leads[0].fit);
-    std::mt19937_64 random(o.seed);
-    for (size_t r = 1; r < groups.size(); ++r) {
-        const Outline own = outline_of(leads[r].fit);
+
+    /// One model of all views: angles as found, everything else where it was.
+    void make_model() {
+        std::vector<OrbitView> views;
+        for (size_t r = 0; r < groups_.size(); ++r)
+            for (size_t k = 0; k < groups_[r].count; ++k) {
+                OrbitView v = leads_[r].fit.model.view(k);
+                v.azimuth_rad = leads_[r].fit.model.azimuth(k);
+                v.ring = static_cast<int>(r);
+                views.push_back(v);
+            }
+        all_ = leads_[0];
+        OrbitModel& m = all_.fit.model = OrbitModel(views, static_cast<int>(groups_.size()));
+        for (const Candidate& c : leads_)
+            if (c.orbit > all_.orbit) all_.orbit = c.orbit;
+        const double share = 1.0 / static_cast<double>(groups_.size());
+        for (size_t r = 0; r < groups_.size(); ++r) {
+            const OrbitModel& own = leads_[r].fit.model;
+            for (const auto which : {OrbitModel::LnFocal, OrbitModel::CentreX, OrbitModel::CentreY}) m.global(which).value += share * own.global(which).value;
+            for (const auto part : {OrbitModel::Elevation, OrbitModel::RingHeight, OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll})
+                m.ring(r, part).value = own.ring(0, part).value;
+            for (size_t k = 0; k < groups_[r].count; ++k)
+                for (int part = OrbitModel::Pan; part < OrbitModel::kViewParts; ++part) {
+                    const auto p = static_cast<OrbitModel::ViewPart>(part);
+                    m.of(groups_[r].first + k, p).value = own.of(k, p).value;
+                    if (all_.orbit == Orbit::HandHeld && leads_[r].orbit != Orbit::HandHeld)
+                        for (const auto& [shared, mine] : {std::pair{OrbitModel::RingPan, OrbitModel::Pan},
+                                                           {OrbitModel::RingTilt, OrbitModel::Tilt},
+                                                           {OrbitModel::RingRoll, OrbitModel::Roll}})
+                            if (p == mine) m.of(groups_[r].first + k, p).value += own.ring(0, shared).value;
+                }
+            if (all_.orbit == Orbit::HandHeld)
+                for (const auto part : {OrbitModel::RingPan, OrbitModel::RingTilt, OrbitModel::RingRoll}) m.ring(r, part).hold(0);
+        }
+    }
+
+    /// Ways in which a ring may lie to the first one.
+    std::vector<Mat3d> turns_of(size_t r) {
         std::vector<Mat3d> turns;
-        if (groups[r].sitting == groups[0].sitting)
+        if (groups_[r].sitting == groups_[0].sitting)
             for (int k = 0; k < 90; ++k) turns.push_back(Eigen::AngleAxisd(4 * k * kRadians, Vec3d::UnitZ()).toRotationMatrix());
         else
             for (int k = 0; k < 1200; ++k) {  // about 18 degrees apart
                 std::normal_distribution<double> normal;
-                const Eigen::Quaterniond q(normal(random), normal(random), normal(random), normal(random));
+                const Eigen::Quaterniond q(normal(random_), normal(random_), normal(random_), normal(random_));
                 turns.push_back(q.normalized().toRotationMatrix());
             }
-        // Contours of each of the two against the other's silhouettes.
+        return turns;
+    }
+
+    /// Those ways, and how badly contours of each of the two fit the other's silhouettes; the best first.
+    std::vector<std::pair<double, size_t>> scores_of(size_t r, const std::vector<Mat3d>& turns, const Outline& scene, const Outline& own) {
+        Silhouettes& s = joint_.silhouettes();
+        const CoherencePass pass = joint_.coarse();
+        OrbitModel& m = all_.fit.model;
         const auto mixed = [&](size_t looking, size_t asked, size_t count) {
             std::vector<ContourPoint> points = s.contour(pass.scale, count, 51);
-            const Group& g = groups[looking];
+            const Group& g = groups_[looking];
             std::erase_if(points,
                           [&](const ContourPoint& p) { return static_cast<size_t>(p.view) < g.first || static_cast<size_t>(p.view) >= g.first + g.count; });
             std::vector<CoherenceView> some = s.at_scale(pass.scale);
             for (size_t i = 0; i < some.size(); ++i)
-                if (i < groups[asked].first || i >= groups[asked].first + groups[asked].count) some[i].field = nullptr;
+                if (i < groups_[asked].first || i >= groups_[asked].first + groups_[asked].count) some[i].field = nullptr;
             return std::pair{points, some};
         };
-        const size_t few = std::max<size_t>(2, 60 / groups[r].count);
+        const size_t few = std::max<size_t>(2, 60 / groups_[r].count);
         const auto [from_ring, first_views] = mixed(r, 0, few);
-        const auto [from_first, ring_views] = mixed(0, r, std::max<size_t>(2, 60 / groups[0].count));
+        const auto [from_first, ring_views] = mixed(0, r, std::max<size_t>(2, 60 / groups_[0].count));
         const auto score = [&, &from_ring = from_ring, &first_views = first_views, &from_first = from_first,
                             &ring_views = ring_views](const OrbitModel& model) {
             const std::vector<OrbitCamera> cameras = model.cameras();
@@ -158,18 +191,29 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
         };
         std::vector<std::pair<double, size_t>> scored;
         for (size_t k = 0; k < turns.size(); ++k) {
-            place_ring(m, r, groups, turns[k], scene, own, leads[r].fit.model);
+            place_ring(m, r, groups_, turns[k], scene, own, leads_[r].fit.model);
             scored.emplace_back(score(m), k);
-            progress.check();
+            progress_.check();
         }
         std::sort(scored.begin(), scored.end());
+        return scored;
+    }
+
+    /// How ring r lies to the first.
+    void place(size_t r, const Outline& scene) {
+        Silhouettes& s = joint_.silhouettes();
+        const CoherencePass pass = joint_.coarse();
+        OrbitModel& m = all_.fit.model;
+        const Outline own = outline_of(leads_[r].fit);
+        const std::vector<Mat3d> turns = turns_of(r);
+        const std::vector<std::pair<double, size_t>> scored = scores_of(r, turns, scene, own);
         // The best few, each led to its own optimum with only the ring's place free.
         Candidate best;
         double least = INFINITY, second = INFINITY;
         Mat3d best_turn = Mat3d::Identity();
         for (size_t k = 0; k < std::min<size_t>(8, scored.size()); ++k) {
-            Candidate c = all;
-            place_ring(c.fit.model, r, groups, turns[scored[k].second], scene, own, leads[r].fit.model);
+            Candidate c = all_;
+            place_ring(c.fit.model, r, groups_, turns[scored[k].second], scene, own, leads_[r].fit.model);
             RingAligner::free_ring(c.fit.model, r);
             c.fit.points = s.contour(pass.scale, 20, 52);
             std::erase_if(c.fit.points, [&](const ContourPoint& p) {
@@ -182,11 +226,11 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
                 const int ring = c.fit.model.ring_of(i);
                 if (ring != 0 && ring != static_cast<int>(r)) s.set_bad(i, true);
             }
-            refine(c.fit, s, pass, progress);
+            refine(c.fit, s, pass, progress_);
             for (size_t i = 0; i < s.count(); ++i) s.set_bad(i, was[i]);
             const double rms = c.rms_px();
-            joint.trace("ring %zu: score %.3f, then %.3f px", r, scored[k].first, rms);
-            const Mat3d turn = c.fit.model.camera(groups[r].first).camera_from_world;
+            joint_.trace("ring %zu: score %.3f, then %.3f px", r, scored[k].first, rms);
+            const Mat3d turn = c.fit.model.camera(groups_[r].first).camera_from_world;
             const bool same = k > 0 && Eigen::AngleAxisd(turn * best_turn.transpose()).angle() < 5 * kRadians;
             if (rms < least) {
                 if (!same) second = least;
@@ -196,26 +240,36 @@ RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& m
             }
         }
         if (second < 1.3 * least + 0.05 * pass.scale)
-            failures.push_back(text_of("how the views from %s on lie to the first ones cannot be told: two ways fit alike (%.2f and %.2f px)",
-                                       given.views[groups[r].first].name.c_str(), least, second));
+            failures_.push_back(text_of("how the views from %s on lie to the first ones cannot be told: two ways fit alike (%.2f and %.2f px)",
+                                        given_.views[groups_[r].first].name.c_str(), least, second));
         for (int part = 0; part < OrbitModel::kRingParts; ++part) {
             const auto p = static_cast<OrbitModel::RingPart>(part);
             if (best.fit.model.views() > 0) m.ring(r, p).value = best.fit.model.ring(r, p).value;
         }
         if (best.fit.model.views() > 0)
-            for (size_t k = 0; k < groups[r].count; ++k)
-                m.of(groups[r].first + k, OrbitModel::Height).value = best.fit.model.of(groups[r].first + k, OrbitModel::Height).value;
+            for (size_t k = 0; k < groups_[r].count; ++k)
+                m.of(groups_[r].first + k, OrbitModel::Height).value = best.fit.model.of(groups_[r].first + k, OrbitModel::Height).value;
     }
-    joint.free_parts(m, all.orbit);
-    m.global(OrbitModel::LnArc).hold(0);
-    joint.fit(all, joint.coarse(), 1);
-    joint.polish(all);
-    rungs.push_back({all.orbit, all.turn, all.rms_px(), 0, static_cast<int>(m.free().size())});
-    RingAligner::Best out;
-    out[all.turn] = all;
-    for (auto& [turn, c] : parts.front())
-        if (turn != all.turn) out[turn] = c;  // for its residual: the others were only tried in the first one's direction
-    return out;
+
+    const Views& given_;
+    const std::vector<MaskView>& masks_;
+    const AlignOptions& o_;
+    const std::vector<Group>& groups_;
+    RingAligner& joint_;
+    std::vector<AlignRung>& rungs_;
+    std::vector<std::string>& failures_;
+    Progress& progress_;
+    std::mt19937_64 random_;
+    std::vector<RingAligner::Best> parts_;
+    std::vector<Candidate> leads_;
+    Candidate all_;
+};
+
+}  // namespace
+
+RingAligner::Best join_groups(const Views& given, const std::vector<MaskView>& masks, const AlignOptions& o, const std::vector<Group>& groups,
+                              RingAligner& joint, std::vector<AlignRung>& rungs, std::vector<std::string>& failures, Progress& progress) {
+    return GroupJoin(given, masks, o, groups, joint, rungs, failures, progress).run();
 }
 
 }  // namespace vdbcarve
