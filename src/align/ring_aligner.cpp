@@ -374,9 +374,14 @@ double RingAligner::held_out_px(const Candidate& c) {
     return rest.rms_px();
 }
 
-RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
+namespace {
+
+int unknowns(const Candidate& c) { return static_cast<int>(c.fit.model.free().size()); }
+
+}  // namespace
+
+void RingAligner::search_motions(Best& table, Best& hand) {
     const std::vector<Start> all = starts();
-    Best table, hand;
     choose_key_views();
     const bool any = o_.orbit == Orbit::Auto;
     if (any || o_.orbit != Orbit::HandHeld) agreeing_ = search(Orbit::Turntable, {all.front()}, table);
@@ -402,14 +407,12 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
     if (!table.empty() && !settled(table, good_coarse_px()) && (hand.empty() || !settled(hand, good_coarse_px())))
         agreeing_ = search(Orbit::Turntable, {all.begin() + 1, all.end()}, table);
     progress_.step(1);
+}
 
-    const auto unknowns = [](const Candidate& c) { return static_cast<int>(c.fit.model.free().size()); };
-    std::vector<Candidate> ladder;
-    const double best_coarse = std::min(table.empty() ? INFINITY : lead(table).typical_px(), hand.empty() ? INFINITY : lead(hand).typical_px());
+std::vector<Candidate> RingAligner::ladder_of(Best& table, Best& hand, double best_coarse, std::vector<AlignRung>& rungs) {
+    const bool any = o_.orbit == Orbit::Auto;
     const auto in_the_race = [&](double rms) { return rms < 5 * best_coarse + 0.1 * coarse().scale; };
-    place_others({&table, &hand});
-
-    // The rungs, each from the one below or from its own search, whichever is better.
+    std::vector<Candidate> ladder;
     if (!table.empty()) {
         Candidate& c = lead(table);
         if (o_.orbit == Orbit::Turntable || in_the_race(c.typical_px())) {
@@ -438,7 +441,10 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
         polish(lead(hand));
         ladder.push_back(lead(hand));
     }
-    progress_.step(3);
+    return ladder;
+}
+
+size_t RingAligner::choose_rung(const std::vector<Candidate>& ladder, std::vector<AlignRung>& rungs) {
     size_t chosen = 0;
     std::vector<double> held_out(ladder.size(), 0);
     if (ladder.size() > 1) {
@@ -451,10 +457,10 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
         rungs.push_back({ladder[r].orbit, ladder[r].turn, ladder[r].rms_px(), held_out[r], unknowns(ladder[r])});
         trace("rung %s: %.4f px, held out %.4f", name_of(ladder[r].orbit), ladder[r].rms_px(), held_out[r]);
     }
-    Best out;
-    const Candidate& winner = ladder[chosen];
-    out[winner.turn] = winner;
-    // The other direction gets as fair a chance as it has earned.
+    return chosen;
+}
+
+void RingAligner::add_other_direction(const Candidate& winner, Best& table, Best& hand, double best_coarse, Best& out) {
     for (Best* tried : {&hand, &table})
         for (auto& [turn, c] : *tried)
             if (turn != winner.turn && !out.count(turn) && (c.orbit == winner.orbit || hand.empty() || table.empty())) {
@@ -470,6 +476,19 @@ RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
         if (c.typical_px() < 4 * best_coarse + good_coarse_px()) polish(c);
         out[other] = c;
     }
+}
+
+RingAligner::Best RingAligner::run(std::vector<AlignRung>& rungs) {
+    Best table, hand;
+    search_motions(table, hand);
+    const double best_coarse = std::min(table.empty() ? INFINITY : lead(table).typical_px(), hand.empty() ? INFINITY : lead(hand).typical_px());
+    place_others({&table, &hand});
+    const std::vector<Candidate> ladder = ladder_of(table, hand, best_coarse, rungs);
+    progress_.step(3);
+    Best out;
+    const Candidate& winner = ladder[choose_rung(ladder, rungs)];
+    out[winner.turn] = winner;
+    add_other_direction(winner, table, hand, best_coarse, out);
     progress_.step(1);
     return out;
 }

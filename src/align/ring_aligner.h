@@ -143,6 +143,17 @@ class RingAligner {
     }
 
   private:
+    // What run() does, in this order.
+
+    /// The turntable's and the hand-held orbit's cameras, as far as each is asked for or promises something.
+    void search_motions(Best& table, Best& hand);
+    /// The rungs, each from the one below or from its own search, whichever is better.
+    std::vector<Candidate> ladder_of(Best& table, Best& hand, double best_coarse, std::vector<AlignRung>& rungs);
+    /// More unknowns have to earn their place.
+    size_t choose_rung(const std::vector<Candidate>& ladder, std::vector<AlignRung>& rungs);
+    /// The other direction gets as fair a chance as it has earned.
+    void add_other_direction(const Candidate& winner, Best& table, Best& hand, double best_coarse, Best& out);
+
     /// Standard deviation of the contours around their own smooth course, pixels.
     double find_mask_noise_px();
 

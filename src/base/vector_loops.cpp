@@ -143,6 +143,7 @@ inline void for_each_change(const uint8_t* a, const uint8_t* b, int count, const
 }
 
 void window_distance(const WindowDistance& job) {
+    // Reads better whole: a kernel whose sweeps share the rows that they leave in the scratch.
     const int width = job.width, height = job.height, reach = job.reach;
     const int steps = reach / kSubpixel + 1;
     const int32_t cap = reach * reach;

@@ -11,14 +11,11 @@
 #include <fstream>
 #include <functional>
 #include <map>
-#include <nlohmann/json.hpp>
 #include <numbers>
 #include <random>
-#include <sstream>
 
 #include "device/dense_device.h"
 #include "bench/dense_reference.h"
-#include "base/atomic_file.h"
 #include "base/memory.h"
 #include "base/statistics.h"
 #include "vdbcarve/carve.h"
@@ -34,8 +31,6 @@ DenseRows dense_rows_generic();
 DenseRows dense_rows_avx2();
 DenseRows dense_rows_avx512();
 #endif
-
-namespace {}  // namespace
 
 BenchScene bench_spheres(int views) {
     struct Ball {
@@ -175,6 +170,24 @@ double wall_ms(const std::function<void()>& work) {
     return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 }
 
+void set_medians(std::map<std::string, std::vector<double>>& steps, BenchDevice& out) {
+    const auto middle = [&](const char* name) { return median(steps[name]); };
+    out.upload = middle("upload");
+    out.distance = middle("distance");
+    out.nodes = middle("carve: nodes");
+    out.leaves = middle("carve: leaves");
+    out.topology = middle("carve: topology");
+    out.level_set = middle("level_set");
+    out.mesh = middle("mesh");
+    out.fields_to_hull = middle("fields_to_hull");
+    out.host_to_hull = middle("host_to_hull");
+    out.host_to_mesh = middle("host_to_mesh");
+    out.device_to_mesh = middle("device_to_mesh");
+    out.download_hull = middle("download_hull");
+    out.openvdb_hull = middle("openvdb_hull");
+    out.download_mesh = middle("download_mesh");
+}
+
 BenchDevice bench_device(const BenchScene& scene, const std::vector<MaskView>& masks, const std::vector<Image8>& binary, const CarveOptions& o,
                          const BenchCase& c, const BenchOptions& options, Device& device) {
     Progress quiet;
@@ -243,21 +256,7 @@ BenchDevice bench_device(const BenchScene& scene, const std::vector<MaskView>& m
         out.vertices = mesh.vertices.size();
         out.triangles = mesh.triangles.size();
     }
-    const auto middle = [&](const char* name) { return median(steps[name]); };
-    out.upload = middle("upload");
-    out.distance = middle("distance");
-    out.nodes = middle("carve: nodes");
-    out.leaves = middle("carve: leaves");
-    out.topology = middle("carve: topology");
-    out.level_set = middle("level_set");
-    out.mesh = middle("mesh");
-    out.fields_to_hull = middle("fields_to_hull");
-    out.host_to_hull = middle("host_to_hull");
-    out.host_to_mesh = middle("host_to_mesh");
-    out.device_to_mesh = middle("device_to_mesh");
-    out.download_hull = middle("download_hull");
-    out.openvdb_hull = middle("openvdb_hull");
-    out.download_mesh = middle("download_mesh");
+    set_medians(steps, out);
     out.bytes = device.bytes();
     const size_t dense_bytes = static_cast<size_t>(c.dims[0]) * static_cast<size_t>(c.dims[1]) * static_cast<size_t>(c.dims[2]);
     if (options.dense && dense_bytes <= options.dense_limit_bytes) {
@@ -275,6 +274,96 @@ std::string cpu_name() {
     for (std::string line; std::getline(in, line);)
         if (line.rfind("model name", 0) == 0) return line.substr(line.find(':') + 2);
     return "unknown processor";
+}
+
+/// A byte a pixel, 1 for object, as the dense method wants it.
+std::vector<Image8> binary_masks(const BenchScene& scene) {
+    std::vector<Image8> binary;
+    for (const Mask& m : scene.masks) {
+        if (m.coverage.width != scene.masks[0].coverage.width || m.coverage.height != scene.masks[0].coverage.height)
+            throw UsageError("bench: the masks of " + scene.name + " have several sizes; the dense method wants one. Remedy: another scene");
+        binary.emplace_back(m.coverage.width, m.coverage.height);
+        for (size_t p = 0; p < m.coverage.data.size(); ++p) binary.back().data[p] = m.coverage.data[p] >= 128;
+    }
+    return binary;
+}
+
+/// Cubic voxels: the bounds are made to have the grid's shape around their middle.
+CarveOptions carve_options(const BenchScene& scene, const BenchCase& c) {
+    const Vec3d d(c.dims[0], c.dims[1], c.dims[2]);
+    CarveOptions o;
+    o.lattice.voxel_size = scene.bounds.sizes().cwiseQuotient(d).maxCoeff();
+    o.bounds_world = Box3d(scene.bounds.center() - 0.5 * o.lattice.voxel_size * d, scene.bounds.center() + 0.5 * o.lattice.voxel_size * d);
+    o.lattice.origin_world = o.bounds_world.min();
+    o.outside = Outside::Background;
+    o.min_seen = 0;
+    return o;
+}
+
+/// The stages on all threads, several times over; medians and peaks go into the row.
+void time_stages(const BenchScene& scene, const std::vector<MaskView>& masks, const std::vector<Image8>& binary, const CarveOptions& o, const BenchCase& c,
+                 const BenchOptions& options, bool dense, const std::string& what, BenchRow& row, Progress& progress) {
+    Progress quiet;
+    Timed fields_time, carve_time, level_set_time, mesh_time, cubes_time, dense_time;
+    for (int run = 0; run < (options.cpu ? options.runs : 0); ++run) {
+        progress.check();
+        progress.note(what + ": run " + std::to_string(run + 1) + " of " + std::to_string(options.runs));
+        reset_peak_memory();
+        std::vector<DistanceField> fields;
+        fields_time([&] { fields = bench_fields(scene, masks, o); });
+        const std::vector<CarveInput> inputs = inputs_of(scene, fields);
+        row.field_bytes = 0;
+        for (const DistanceField& field : fields) row.field_bytes += field.bytes();
+        CarveResult result;
+        carve_time([&] { result = carve(inputs, o, quiet); });
+        row.carve_peak_bytes = std::max(row.carve_peak_bytes, peak_memory_bytes());
+        row.hull_bytes = result.statistics.bytes;
+        row.leaves = result.statistics.leaves;
+        row.active_voxels = result.statistics.active_voxels;
+        row.node_tests = result.statistics.node_tests;
+        row.voxel_lookups = result.statistics.voxel_lookups;
+        fields = {};
+        if (options.stages) {
+            openvdb::FloatGrid::Ptr surface;
+            reset_peak_memory();
+            level_set_time([&] { surface = level_set(std::move(result.hull), {}, quiet); });
+            row.level_set_peak_bytes = std::max(row.level_set_peak_bytes, peak_memory_bytes());
+            mesh_time([&] { extract_mesh(*surface, {}, quiet); });
+            MeshOptions cubes;
+            cubes.mesher = Mesher::MarchingCubes;
+            cubes_time([&] { extract_mesh(*surface, cubes, quiet); });
+        }
+        result = {};
+        if (dense) {
+            reset_peak_memory();
+            dense_time([&] { row.dense_object_voxels = carve_dense(scene, binary, o, c.dims); });
+            row.dense_peak_bytes = std::max(row.dense_peak_bytes, peak_memory_bytes());
+        }
+    }
+    row.fields_s = median(fields_time.wall);
+    row.fields_cpu_s = median(fields_time.cpu);
+    row.carve_s = median(carve_time.wall);
+    row.carve_cpu_s = median(carve_time.cpu);
+    row.level_set_s = median(level_set_time.wall);
+    row.mesh_s = median(mesh_time.wall);
+    row.cubes_s = median(cubes_time.wall);
+    row.dense_s = median(dense_time.wall);
+    row.dense_cpu_s = median(dense_time.cpu);
+}
+
+void time_one_thread(const BenchScene& scene, const std::vector<MaskView>& masks, const std::vector<Image8>& binary, const CarveOptions& o, const BenchCase& c,
+                     bool dense, BenchRow& row) {
+    Progress quiet;
+    const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+    Timed fields_one, carve_one, dense_one;
+    std::vector<DistanceField> fields;
+    fields_one([&] { fields = bench_fields(scene, masks, o); });
+    const std::vector<CarveInput> inputs = inputs_of(scene, fields);
+    carve_one([&] { carve(inputs, o, quiet); });
+    if (dense) dense_one([&] { carve_dense(scene, binary, o, c.dims); });
+    row.fields_one_s = median(fields_one.wall);
+    row.carve_one_s = median(carve_one.wall);
+    row.dense_one_s = median(dense_one.wall);
 }
 
 }  // namespace
@@ -302,7 +391,6 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
         const DeviceInfo info = cuda_devices().at(static_cast<size_t>(options.device));
         out.device = info.name + ", " + std::to_string(info.multiprocessors) + " multiprocessors";
     }
-    Progress quiet;
     BenchScene scene;
     std::vector<Image8> binary;
     for (const BenchCase& c : options.cases) {
@@ -310,13 +398,7 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
             throw UsageError("bench: " + std::to_string(c.views) + " views, must be 1.." + std::to_string(kMaxDenseViews));
         if (scene.cameras.empty() || (c.views != 0 && scene.cameras.size() != static_cast<size_t>(c.views))) {
             scene = options.scene(c.views);
-            binary.clear();
-            for (const Mask& m : scene.masks) {
-                if (m.coverage.width != scene.masks[0].coverage.width || m.coverage.height != scene.masks[0].coverage.height)
-                    throw UsageError("bench: the masks of " + scene.name + " have several sizes; the dense method wants one. Remedy: another scene");
-                binary.emplace_back(m.coverage.width, m.coverage.height);
-                for (size_t p = 0; p < m.coverage.data.size(); ++p) binary.back().data[p] = m.coverage.data[p] >= 128;
-            }
+            binary = binary_masks(scene);
         }
         out.scene = scene.name;
         const auto views = static_cast<int>(scene.cameras.size());
@@ -328,76 +410,16 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
         BenchRow row;
         row.dims = c.dims;
         row.views = views;
-        // Cubic voxels: the bounds are made to have the grid's shape around their middle.
-        const Vec3d d(c.dims[0], c.dims[1], c.dims[2]);
-        CarveOptions o;
-        o.lattice.voxel_size = scene.bounds.sizes().cwiseQuotient(d).maxCoeff();
-        o.bounds_world = Box3d(scene.bounds.center() - 0.5 * o.lattice.voxel_size * d, scene.bounds.center() + 0.5 * o.lattice.voxel_size * d);
-        o.lattice.origin_world = o.bounds_world.min();
-        o.outside = Outside::Background;
-        o.min_seen = 0;
+        const CarveOptions o = carve_options(scene, c);
         const std::string what =
             std::to_string(c.dims[0]) + "x" + std::to_string(c.dims[1]) + "x" + std::to_string(c.dims[2]) + ", " + std::to_string(views) + " views";
         const size_t dense_bytes = static_cast<size_t>(c.dims[0]) * static_cast<size_t>(c.dims[1]) * static_cast<size_t>(c.dims[2]);
         const bool dense = options.dense && dense_bytes <= options.dense_limit_bytes;
 
-        Timed fields_time, carve_time, level_set_time, mesh_time, cubes_time, dense_time;
-        for (int run = 0; run < (options.cpu ? options.runs : 0); ++run) {
-            progress.check();
-            progress.note(what + ": run " + std::to_string(run + 1) + " of " + std::to_string(options.runs));
-            reset_peak_memory();
-            std::vector<DistanceField> fields;
-            fields_time([&] { fields = bench_fields(scene, masks, o); });
-            const std::vector<CarveInput> inputs = inputs_of(scene, fields);
-            row.field_bytes = 0;
-            for (const DistanceField& field : fields) row.field_bytes += field.bytes();
-            CarveResult result;
-            carve_time([&] { result = carve(inputs, o, quiet); });
-            row.carve_peak_bytes = std::max(row.carve_peak_bytes, peak_memory_bytes());
-            row.hull_bytes = result.statistics.bytes;
-            row.leaves = result.statistics.leaves;
-            row.active_voxels = result.statistics.active_voxels;
-            row.node_tests = result.statistics.node_tests;
-            row.voxel_lookups = result.statistics.voxel_lookups;
-            fields = {};
-            if (options.stages) {
-                openvdb::FloatGrid::Ptr surface;
-                reset_peak_memory();
-                level_set_time([&] { surface = level_set(std::move(result.hull), {}, quiet); });
-                row.level_set_peak_bytes = std::max(row.level_set_peak_bytes, peak_memory_bytes());
-                mesh_time([&] { extract_mesh(*surface, {}, quiet); });
-                MeshOptions cubes;
-                cubes.mesher = Mesher::MarchingCubes;
-                cubes_time([&] { extract_mesh(*surface, cubes, quiet); });
-            }
-            result = {};
-            if (dense) {
-                reset_peak_memory();
-                dense_time([&] { row.dense_object_voxels = carve_dense(scene, binary, o, c.dims); });
-                row.dense_peak_bytes = std::max(row.dense_peak_bytes, peak_memory_bytes());
-            }
-        }
-        row.fields_s = median(fields_time.wall);
-        row.fields_cpu_s = median(fields_time.cpu);
-        row.carve_s = median(carve_time.wall);
-        row.carve_cpu_s = median(carve_time.cpu);
-        row.level_set_s = median(level_set_time.wall);
-        row.mesh_s = median(mesh_time.wall);
-        row.cubes_s = median(cubes_time.wall);
-        row.dense_s = median(dense_time.wall);
-        row.dense_cpu_s = median(dense_time.cpu);
+        time_stages(scene, masks, binary, o, c, options, dense, what, row, progress);
         if (options.cpu && options.single_thread) {
             progress.note(what + ": one thread");
-            const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
-            Timed fields_one, carve_one, dense_one;
-            std::vector<DistanceField> fields;
-            fields_one([&] { fields = bench_fields(scene, masks, o); });
-            const std::vector<CarveInput> inputs = inputs_of(scene, fields);
-            carve_one([&] { carve(inputs, o, quiet); });
-            if (dense) dense_one([&] { carve_dense(scene, binary, o, c.dims); });
-            row.fields_one_s = median(fields_one.wall);
-            row.carve_one_s = median(carve_one.wall);
-            row.dense_one_s = median(dense_one.wall);
+            time_one_thread(scene, masks, binary, o, c, dense, row);
         }
         if (device) {
             progress.note(what + ": device");
@@ -406,257 +428,6 @@ BenchResult run_bench(const BenchOptions& options, Progress& progress) {
         out.rows.push_back(row);
     }
     return out;
-}
-
-namespace {
-
-std::string number(double v, int digits) {
-    char text[32];
-    std::snprintf(text, sizeof text, "%.*f", digits, v);
-    return text;
-}
-std::string some(double v, int digits) { return v > 0 ? number(v, digits) : "–"; }
-std::string grid_of(const BenchRow& b) { return std::to_string(b.dims[0]) + "x" + std::to_string(b.dims[1]) + "x" + std::to_string(b.dims[2]); }
-
-std::string head_of(const BenchResult& r) {
-    return "scene: " + r.scene + "; " + r.machine + ", " + std::to_string(r.threads) + " threads, vector loops " + r.loops +
-           (r.device.empty() ? "" : "; " + r.device) + "\ndense method: " + r.dense_flags +
-           (r.device.empty() ? "" : "; on the device a thread a voxel, approximate division, early exit") + "\n\n";
-}
-
-}  // namespace
-
-std::string bench_table(const BenchResult& r) {
-    std::ostringstream out;
-    out << head_of(r);
-    bool cpu = false, device = false;
-    for (const BenchRow& b : r.rows) {
-        cpu |= b.carve_s > 0;
-        device |= b.device.has_value();
-    }
-    const auto mb = [&](size_t bytes) { return number(static_cast<double>(bytes) / 1e6, 0); };
-    if (cpu) {
-        out << "| grid | views | fields s (cpu) | carve s (cpu) | peak MB | hull MB | leaves | look-ups M | dense s (cpu) | dense peak MB | dense / (fields + "
-               "carve) | dense / carve | level_set s | dual mesh s | marching cubes s |\n"
-            << "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
-        for (const BenchRow& b : r.rows) {
-            const bool dense = b.dense_s > 0;
-            out << "| " << grid_of(b) << " | " << b.views << " | " << number(b.fields_s, 3) << " (" << number(b.fields_cpu_s, 2) << ") | "
-                << number(b.carve_s, 3) << " (" << number(b.carve_cpu_s, 2) << ") | " << mb(b.carve_peak_bytes) << " | " << mb(b.hull_bytes) << " | "
-                << b.leaves << " | " << number(static_cast<double>(b.voxel_lookups) / 1e6, 1) << " | "
-                << (dense ? number(b.dense_s, 3) + " (" + number(b.dense_cpu_s, 2) + ")" : "–") << " | " << (dense ? mb(b.dense_peak_bytes) : "–") << " | "
-                << (dense ? number(b.ratio_with_fields(), 1) : "–") << " | " << (dense ? number(b.ratio_without_fields(), 1) : "–") << " | "
-                << some(b.level_set_s, 2) << " | " << some(b.mesh_s, 2) << " | " << some(b.cubes_s, 2) << " |\n";
-        }
-    }
-    if (device) {
-        out << "\nDevice, ms: steps are device time; the columns with an arrow are wall time.\n\n"
-            << "| grid | views | leaves | look-ups M | upload | fields | nodes | leaves | topology | fields → hull | level_set | mesh | host masks → hull | "
-               "device masks → mesh | host masks → mesh | hull → host | → OpenVDB | mesh → host | dense | "
-               "device MB |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
-        for (const BenchRow& b : r.rows) {
-            if (!b.device) continue;
-            const BenchDevice& d = *b.device;
-            out << "| " << grid_of(b) << " | " << b.views << " | " << d.leaf_count << " | " << number(static_cast<double>(d.voxel_lookups) / 1e6, 1) << " | "
-                << number(d.upload, 2) << " | " << number(d.distance, 3) << " | " << number(d.nodes, 3) << " | " << number(d.leaves, 3) << " | "
-                << number(d.topology, 3) << " | " << number(d.fields_to_hull, 3) << " | " << some(d.level_set, 3) << " | " << some(d.mesh, 3) << " | "
-                << number(d.host_to_hull, 2) << " | " << some(d.device_to_mesh, 2) << " | " << some(d.host_to_mesh, 2) << " | " << number(d.download_hull, 1)
-                << " | " << number(d.openvdb_hull, 1) << " | " << some(d.download_mesh, 1) << " | " << some(d.dense, 2) << " | " << mb(d.bytes) << " |\n";
-        }
-    }
-    return out.str();
-}
-
-std::string bench_paper_table(const BenchResult& r) {
-    // Denkowski 2013, Table 1: seconds on a Core i5 with 1 and 4 threads and on a GTX 560, of its own images.
-    struct Paper {
-        std::array<int, 3> dims;
-        const char* text;
-    };
-    static const Paper kPaper[] = {{{256, 256, 256}, "–; 11.0; 0.48"}, {{512, 512, 512}, "300; 80; 3.73"}, {{1024, 512, 1024}, "1019; 297; 13.0"}};
-    std::ostringstream out;
-    out << head_of(r);
-    out << "Seconds from masks in host memory to the volume, distance fields included; the dense method needs none. Transfers of the device apart: masks in, "
-           "volume out.\n\n"
-        << "| volume | views | CPU x1 dense | CPU x1 sparse | CPU x" << r.threads << " dense | CPU x" << r.threads
-        << " sparse | GPU dense (in) | GPU sparse, in included (in; out) | GPU dense / sparse | carve + mesh a second | the paper: CPU x1; x4; GPU |\n"
-        << "|---|---|---|---|---|---|---|---|---|---|---|\n";
-    for (const BenchRow& b : r.rows) {
-        const char* paper = "–";
-        for (const Paper& p : kPaper)
-            if (p.dims == b.dims && b.views == 36) paper = p.text;
-        out << "| " << grid_of(b) << " | " << b.views << " | " << some(b.dense_one_s, 3) << " | " << some(b.fields_one_s + b.carve_one_s, 3) << " | "
-            << some(b.dense_s, 3) << " | " << some(b.fields_s + b.carve_s, 3) << " | ";
-        if (b.device) {
-            const BenchDevice& d = *b.device;
-            const double dense = d.dense > 0 ? d.dense + d.dense_upload : 0;
-            out << (d.dense > 0 ? number(dense / 1e3, 5) + " (" + number(d.dense_upload / 1e3, 5) + ")" : "–") << " | " << number(d.host_to_hull / 1e3, 5)
-                << " (" << number(d.upload / 1e3, 5) << "; " << number(d.download_hull / 1e3, 5) << ") | "
-                << (dense > 0 ? number(dense / d.host_to_hull, 1) : "–") << " | " << (d.host_to_mesh > 0 ? number(1e3 / d.host_to_mesh, 0) : "–") << " | ";
-        } else {
-            out << "– | – | – | – | ";
-        }
-        out << paper << " |\n";
-    }
-    return out.str();
-}
-
-std::string bench_json(const BenchResult& r) {
-    nlohmann::ordered_json j{{"scene", r.scene}, {"machine", r.machine}, {"threads", r.threads}, {"vector_loops", r.loops}, {"dense_method", r.dense_flags}};
-    if (!r.device.empty()) j["device"] = r.device;
-    j["rows"] = nlohmann::json::array();
-    for (const BenchRow& b : r.rows) {
-        nlohmann::ordered_json row{{"dims", b.dims}, {"views", b.views}};
-        const auto put = [](nlohmann::ordered_json& to, const char* key, double value) {
-            if (value > 0) to[key] = value;
-        };
-        if (b.carve_s > 0) {
-            row.update({{"fields_s", b.fields_s},
-                        {"fields_cpu_s", b.fields_cpu_s},
-                        {"carve_s", b.carve_s},
-                        {"carve_cpu_s", b.carve_cpu_s},
-                        {"carve_peak_bytes", b.carve_peak_bytes},
-                        {"field_bytes", b.field_bytes},
-                        {"hull_bytes", b.hull_bytes},
-                        {"leaves", b.leaves},
-                        {"active_voxels", b.active_voxels},
-                        {"node_tests", b.node_tests},
-                        {"voxel_lookups", b.voxel_lookups}});
-        }
-        if (b.level_set_s > 0) {
-            row["level_set_s"] = b.level_set_s;
-            row["level_set_peak_bytes"] = b.level_set_peak_bytes;
-            row["mesh_s"] = b.mesh_s;
-            row["marching_cubes_s"] = b.cubes_s;
-        }
-        if (b.dense_s > 0) {
-            row["dense_s"] = b.dense_s;
-            row["dense_cpu_s"] = b.dense_cpu_s;
-            row["dense_peak_bytes"] = b.dense_peak_bytes;
-            row["dense_object_voxels"] = b.dense_object_voxels;
-            row["ratio_with_fields"] = b.ratio_with_fields();
-            row["ratio_without_fields"] = b.ratio_without_fields();
-        }
-        put(row, "fields_one_thread_s", b.fields_one_s);
-        put(row, "carve_one_thread_s", b.carve_one_s);
-        put(row, "dense_one_thread_s", b.dense_one_s);
-        if (b.device) {
-            const BenchDevice& d = *b.device;
-            nlohmann::ordered_json v{{"leaves", d.leaf_count},
-                                     {"node_tests", d.node_tests},
-                                     {"voxel_lookups", d.voxel_lookups},
-                                     {"bytes", d.bytes},
-                                     {"upload_ms", d.upload},
-                                     {"fields_ms", d.distance},
-                                     {"nodes_ms", d.nodes},
-                                     {"leaves_ms", d.leaves},
-                                     {"topology_ms", d.topology},
-                                     {"fields_to_hull_ms", d.fields_to_hull},
-                                     {"host_masks_to_hull_ms", d.host_to_hull},
-                                     {"download_hull_ms", d.download_hull},
-                                     {"download_and_convert_hull_ms", d.openvdb_hull}};
-            put(v, "level_set_ms", d.level_set);
-            put(v, "mesh_ms", d.mesh);
-            put(v, "device_masks_to_mesh_ms", d.device_to_mesh);
-            put(v, "host_masks_to_mesh_ms", d.host_to_mesh);
-            put(v, "download_mesh_ms", d.download_mesh);
-            put(v, "dense_ms", d.dense);
-            put(v, "dense_upload_ms", d.dense_upload);
-            v["vertices"] = d.vertices;
-            v["triangles"] = d.triangles;
-            row["device"] = v;
-        }
-        j["rows"].push_back(row);
-    }
-    return j.dump(1) + "\n";
-}
-
-std::string bench_svg(const BenchResult& r, bool over_views) {
-    // The rows to draw: of the commonest number of views, or of the commonest grid.
-    const auto key = [&](const BenchRow& b) { return over_views ? std::array<int, 3>(b.dims) : std::array<int, 3>{b.views, 0, 0}; };
-    std::map<std::array<int, 3>, int> tally;
-    for (const BenchRow& b : r.rows) ++tally[key(b)];
-    std::array<int, 3> common{};
-    int most = 0;
-    for (const auto& [k, n] : tally)
-        if (n > most) common = k, most = n;
-    struct Line {
-        const char* name;
-        const char* colour;
-        std::function<double(const BenchRow&)> seconds;
-        std::vector<std::pair<double, double>> points;
-    };
-    const auto device = [](double BenchDevice::*what) { return [what](const BenchRow& b) { return b.device ? (*b.device).*what / 1e3 : 0.0; }; };
-    std::vector<Line> lines{{"CPU: dense method", "#b04a3a", [](const BenchRow& b) { return b.dense_s; }, {}},
-                            {"CPU: distance fields + carve", "#2a6f97", [](const BenchRow& b) { return b.fields_s + b.carve_s; }, {}},
-                            {"CPU: level_set", "#7a7a4a", [](const BenchRow& b) { return b.level_set_s; }, {}},
-                            {"GPU: dense method, masks uploaded",
-                             "#d98c7f",
-                             [](const BenchRow& b) { return b.device && b.device->dense > 0 ? (b.device->dense + b.device->dense_upload) / 1e3 : 0; },
-                             {}},
-                            {"GPU: masks in host memory to hull", "#3a9a6a", device(&BenchDevice::host_to_hull), {}},
-                            {"GPU: masks on the device to mesh", "#8a5fb0", device(&BenchDevice::device_to_mesh), {}},
-                            {"GPU: carve alone", "#61a5c2", device(&BenchDevice::fields_to_hull), {}}};
-    double x_low = 1e300, x_high = 0, y_low = 1e300, y_high = 0;
-    std::map<double, std::string> ticks;
-    for (const BenchRow& b : r.rows) {
-        if (key(b) != common) continue;
-        const double x = over_views ? b.views : static_cast<double>(b.dims[0]) * b.dims[1] * b.dims[2];
-        ticks[x] = over_views ? std::to_string(b.views) : std::to_string(b.dims[0]) + "×" + std::to_string(b.dims[1]) + "×" + std::to_string(b.dims[2]);
-        x_low = std::min(x_low, x);
-        x_high = std::max(x_high, x);
-        for (Line& line : lines) {
-            const double y = line.seconds(b);
-            if (!(y > 0)) continue;
-            line.points.emplace_back(x, y);
-            y_low = std::min(y_low, y);
-            y_high = std::max(y_high, y);
-        }
-    }
-    y_low = std::pow(10, std::floor(std::log10(y_low)));
-    y_high = std::pow(10, std::ceil(std::log10(y_high)));
-    constexpr double kWidth = 760, kHeight = 470, kLeft = 80, kRight = 60, kTop = 40, kBottom = 100;
-    const auto px = [&](double x) { return kLeft + (x_high > x_low ? std::log(x / x_low) / std::log(x_high / x_low) : 0.5) * (kWidth - kLeft - kRight); };
-    const auto py = [&](double y) { return kHeight - kBottom - std::log(y / y_low) / std::log(y_high / y_low) * (kHeight - kTop - kBottom); };
-    std::ostringstream s;
-    s << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 " << kWidth << " " << kHeight
-      << "\" font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n";
-    s << "<text x=\"" << kLeft << "\" y=\"22\" font-size=\"14\">" << r.scene << ": seconds over " << (over_views ? "views" : "voxels") << ", "
-      << (over_views ? std::to_string(common[0]) + "×" + std::to_string(common[1]) + "×" + std::to_string(common[2]) : std::to_string(common[0]) + " views")
-      << ", CPU on " << r.threads << " threads</text>\n";
-    for (double y = y_low; y <= y_high * 1.001; y *= 10)
-        s << "<line x1=\"" << kLeft << "\" x2=\"" << kWidth - kRight << "\" y1=\"" << py(y) << "\" y2=\"" << py(y) << "\" stroke=\"#ddd\"/><text x=\""
-          << kLeft - 8 << "\" y=\"" << py(y) + 4 << "\" text-anchor=\"end\">" << y << " s</text>\n";
-    // Labels that would lie on each other take turns on two lines.
-    double last_x = -1e9;
-    bool low = false;
-    for (const auto& [x, label] : ticks) {
-        low = px(x) - last_x < 90 && !low;
-        last_x = px(x);
-        s << "<text x=\"" << px(x) << "\" y=\"" << kHeight - kBottom + (low ? 32 : 18) << "\" text-anchor=\"middle\">" << label << (over_views ? " views" : "")
-          << "</text>\n";
-    }
-    int shown = 0;
-    for (Line& line : lines) {
-        if (line.points.empty()) continue;
-        std::sort(line.points.begin(), line.points.end());
-        s << "<polyline fill=\"none\" stroke=\"" << line.colour << "\" stroke-width=\"2\" points=\"";
-        for (const auto& [x, y] : line.points) s << px(x) << "," << py(y) << " ";
-        s << "\"/>\n";
-        for (const auto& [x, y] : line.points) s << "<circle cx=\"" << px(x) << "\" cy=\"" << py(y) << "\" r=\"3\" fill=\"" << line.colour << "\"/>\n";
-        s << "<text x=\"" << kLeft - 50 + 245 * (shown % 3) << "\" y=\"" << kHeight - 46 + 16 * (shown / 3) << "\" fill=\"" << line.colour << "\">" << line.name
-          << "</text>\n";
-        ++shown;
-    }
-    s << "</svg>\n";
-    return s.str();
-}
-
-void write_bench_svgs(const BenchResult& result, const std::filesystem::path& file) {
-    std::filesystem::path over_views = file;
-    over_views.replace_filename(over_views.stem().string() + "_views.svg");
-    write_file(file, bench_svg(result, false));
-    write_file(over_views, bench_svg(result, true));
 }
 
 }  // namespace vdbcarve

@@ -61,6 +61,7 @@ Box3d box_of_hull(const openvdb::FloatGrid& hull, const std::vector<CarveInput>&
 }  // namespace
 
 Box3d automatic_bounds(const std::vector<CarveInput>& inputs, const CarveOptions& given, Progress& progress) {
+    // Reads better whole: a start, a coarse hull, and the box around it, each from the one before.
     // Start: the point nearest to the rays through the silhouettes' middles, and their size there.
     std::vector<Camera::Ray> rays;
     std::vector<std::pair<const CarveInput*, Eigen::AlignedBox2d>> boxes;

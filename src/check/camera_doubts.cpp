@@ -156,6 +156,62 @@ void judge(std::vector<Reading>& readings, const std::vector<MaskView>& masks, P
     }
 }
 
+namespace {
+
+/// A ball around what the cameras look at that every silhouette, seen from its camera, lies in.
+double radius_around(const std::vector<OrbitCamera>& cameras, const Silhouettes& silhouettes) {
+    double radius = 0;
+    for (const size_t i : silhouettes.seen()) {
+        const Silhouettes::Extent& e = silhouettes.extent(i);
+        const double reach = std::max(std::hypot(e.x0 - cameras[i].cx, e.y0 - cameras[i].cy), std::hypot(e.x1 - cameras[i].cx, e.y1 - cameras[i].cy));
+        radius = std::max(radius, cameras[i].centre.norm() * std::sin(std::atan(1.2 * reach / cameras[i].fx)));
+    }
+    return radius;
+}
+
+double rms_of(const std::vector<Touch>& touches) {
+    double sum = 0;
+    size_t n = 0;
+    for (const Touch& t : touches)
+        if (!std::isnan(t.residual_px)) sum += square(std::clamp(t.residual_px, 0.0, kOutlier_px)), ++n;
+    return n ? std::sqrt(sum / static_cast<double>(n)) : 0.0;
+}
+
+/// Of what a common shift and a common change of focal length do to the residuals.
+struct NormalEquations {
+    Mat3d normal = Mat3d::Zero();
+    Vec3d right = Vec3d::Zero();
+};
+
+NormalEquations normal_equations(const std::vector<CoherenceView>& views, const std::vector<OrbitCamera>& now, const std::vector<ContourPoint>& points,
+                                 const std::vector<Touch>& touches) {
+    NormalEquations out;
+    for (size_t p = 0; p < points.size(); ++p) {
+        const double residual = touches[p].residual_px;
+        if (std::isnan(residual) || residual <= 0 || residual > kOutlier_px) continue;
+        const std::vector<Support> supports = supports_of(views, now, points[p], touches[p], 1.0, 8);
+        if (supports.empty()) continue;
+        std::vector<double> values, slopes;
+        double steepest = 0;
+        for (const Support& s : supports) {
+            values.push_back(s.distance_px);
+            slopes.push_back(s.slope);
+            steepest = std::max(steepest, std::fabs(s.slope));
+        }
+        const Minimax held = minimax(values.data(), slopes.data(), values.size(), steepest > 0 ? 2 / steepest : 0);
+        Vec3d row = Vec3d::Zero();
+        for (const auto& [which, share] : {std::pair{held.first, held.share}, {held.second, 1 - held.share}}) {
+            const Support& s = supports[which];
+            row += share * Vec3d(s.by_own[kCentreX] + s.by_view[kCentreX], s.by_own[kCentreY] + s.by_view[kCentreY], s.by_own[kLnFocal] + s.by_view[kLnFocal]);
+        }
+        out.normal += row * row.transpose();
+        out.right -= residual * row;
+    }
+    return out;
+}
+
+}  // namespace
+
 std::optional<CommonError> common_error(const std::vector<Camera>& cameras, const std::vector<MaskView>& masks, Progress& progress) {
     const std::optional<Vec3d> middle = look_at_point(cameras);
     if (!middle || std::any_of(cameras.begin(), cameras.end(),
@@ -175,24 +231,10 @@ std::optional<CommonError> common_error(const std::vector<Camera>& cameras, cons
         }
         return out;
     };
-    // A ball around what the cameras look at that every silhouette, seen from its camera, lies in.
-    double radius = 0;
     const std::vector<OrbitCamera> given = moved(Vec3d::Zero());
-    for (const size_t i : silhouettes.seen()) {
-        const Silhouettes::Extent& e = silhouettes.extent(i);
-        const double reach = std::max(std::hypot(e.x0 - given[i].cx, e.y0 - given[i].cy), std::hypot(e.x1 - given[i].cx, e.y1 - given[i].cy));
-        radius = std::max(radius, given[i].centre.norm() * std::sin(std::atan(1.2 * reach / given[i].fx)));
-    }
     SearchOptions search;
-    search.ball_radius = radius;
+    search.ball_radius = radius_around(given, silhouettes);
     search.margin_px = 0.5;
-    const auto rms_of = [](const std::vector<Touch>& touches) {
-        double sum = 0;
-        size_t n = 0;
-        for (const Touch& t : touches)
-            if (!std::isnan(t.residual_px)) sum += square(std::clamp(t.residual_px, 0.0, kOutlier_px)), ++n;
-        return n ? std::sqrt(sum / static_cast<double>(n)) : 0.0;
-    };
     Vec3d at = Vec3d::Zero();
     std::vector<Touch> touches = find_touches(views, given, points, search, {});
     CommonError out;
@@ -201,36 +243,13 @@ std::optional<CommonError> common_error(const std::vector<Camera>& cameras, cons
     Mat3d normal = Mat3d::Zero();
     for (int round = 0; round < 5; ++round) {
         progress.check();
-        const std::vector<OrbitCamera> now = moved(at);
-        normal.setZero();
-        Vec3d right = Vec3d::Zero();
-        for (size_t p = 0; p < points.size(); ++p) {
-            const double residual = touches[p].residual_px;
-            if (std::isnan(residual) || residual <= 0 || residual > kOutlier_px) continue;
-            const std::vector<Support> supports = supports_of(views, now, points[p], touches[p], 1.0, 8);
-            if (supports.empty()) continue;
-            std::vector<double> values, slopes;
-            double steepest = 0;
-            for (const Support& s : supports) {
-                values.push_back(s.distance_px);
-                slopes.push_back(s.slope);
-                steepest = std::max(steepest, std::fabs(s.slope));
-            }
-            const Minimax held = minimax(values.data(), slopes.data(), values.size(), steepest > 0 ? 2 / steepest : 0);
-            Vec3d row = Vec3d::Zero();
-            for (const auto& [which, share] : {std::pair{held.first, held.share}, {held.second, 1 - held.share}}) {
-                const Support& s = supports[which];
-                row +=
-                    share * Vec3d(s.by_own[kCentreX] + s.by_view[kCentreX], s.by_own[kCentreY] + s.by_view[kCentreY], s.by_own[kLnFocal] + s.by_view[kLnFocal]);
-            }
-            normal += row * row.transpose();
-            right -= residual * row;
-        }
+        const NormalEquations equations = normal_equations(views, moved(at), points, touches);
+        normal = equations.normal;
         // Weak priors (20 px, 30 %) hold what the views leave open: on a level orbit all cones may move up together.
         Mat3d held = normal;
         const double noise = square(out.rms_after_px);
         held.diagonal() += noise * Vec3d(1 / 400.0, 1 / 400.0, 1 / 0.09);
-        Vec3d step = held.ldlt().solve(right);
+        Vec3d step = held.ldlt().solve(equations.right);
         bool better = false;
         for (int halving = 0; halving < 4 && !better; ++halving, step *= 0.5) {
             const std::vector<Touch> next = find_touches(views, moved(at + step), points, search, touches);

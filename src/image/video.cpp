@@ -153,70 +153,75 @@ bool is_video(const fs::path& path) {
     return known.count(extension) && fs::is_regular_file(path);
 }
 
-VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const VideoOptions& options, Progress& progress) {
-    if (options.frames < 4) throw UsageError("--video-frames " + std::to_string(options.frames) + ": at least 4 are needed");
-    if (!(options.from_s >= 0) || !(options.to_s == 0 || options.to_s > options.from_s))
-        throw UsageError(
-            text_of("--video-range %g,%g: seconds from the film's start are expected, the second more than the first", options.from_s, options.to_s));
-    VideoFrames out;
-    std::vector<Seen> seen;
-    std::vector<size_t> complained;
-    double rate = 0;
-    {
-        Film film(file);
-        rate = film.rate();
-        const double said = film.frames_said();
-        progress.begin("video", said > 0 && said < 1e7 ? static_cast<size_t>(said) : 1);
-        double time_s = 0;
-        size_t n = 0;
-        bool to_the_end = true;
-        for (; film.next(time_s); ++n) {
-            progress.step();
-            if (film.complained()) complained.push_back(n);
-            if (options.to_s > 0 && time_s > options.to_s) {
-                to_the_end = false;
-                break;
-            }
-            if (time_s < options.from_s) continue;
-            const cv::Mat picture = film.picture();
-            out.width_px = picture.cols;
-            out.height_px = picture.rows;
-            const cv::Mat middle = grey_at(picture, std::min(io::kSharpWidth_px, picture.cols));
-            cv::Mat small;
-            cv::resize(middle, small, cv::Size(kFlowWidth_px, std::max(1, kFlowWidth_px * middle.rows / middle.cols)), 0, 0, cv::INTER_AREA);
-            seen.push_back({n, time_s, io::sharpness_of(middle), small});
-        }
-        if (film.complained() && n > 0) complained.push_back(n - 1);
-        if (to_the_end && said > 0 && static_cast<double>(n) + 2 < said)
-            out.warnings.push_back(text_of("%s: ends early, %zu of %.0f frames are there", file.c_str(), n, said));
-    }
-    if (seen.empty()) throw InputError(text_of("%s: has no frame from second %g on", file.c_str(), options.from_s));
-    if (!complained.empty()) {
-        mark_damaged(file, complained, seen);
-        std::string where;
-        size_t count = 0;
-        for (size_t i = 0, first = 0; i <= seen.size(); ++i) {
-            const bool damaged = i < seen.size() && seen[i].damaged;
-            count += damaged;
-            if (damaged && (i == 0 || !seen[i - 1].damaged)) first = i;
-            if (!damaged && i > 0 && seen[i - 1].damaged)
-                where += (where.empty() ? "" : ", ") + minutes(seen[first].time_s) + "-" + minutes(seen[i - 1].time_s);
-        }
-        if (count) out.warnings.push_back(file.string() + ": is damaged; no frame is taken from " + where);
-    }
+namespace {
 
-    // Motion up to each frame. Flow is taken over several frames and shared out among them.
+/// What one look through all frames finds.
+struct Look {
+    std::vector<Seen> seen;          ///< frames within the range
+    std::vector<size_t> complained;  ///< numbers of frames at which the decoder complained
+    double rate = 0;
+};
+
+Look look_through(const fs::path& file, const VideoOptions& options, VideoFrames& out, Progress& progress) {
+    Look look;
+    auto& [seen, complained, rate] = look;
+    Film film(file);
+    rate = film.rate();
+    const double said = film.frames_said();
+    progress.begin("video", said > 0 && said < 1e7 ? static_cast<size_t>(said) : 1);
+    double time_s = 0;
+    size_t n = 0;
+    bool to_the_end = true;
+    for (; film.next(time_s); ++n) {
+        progress.step();
+        if (film.complained()) complained.push_back(n);
+        if (options.to_s > 0 && time_s > options.to_s) {
+            to_the_end = false;
+            break;
+        }
+        if (time_s < options.from_s) continue;
+        const cv::Mat picture = film.picture();
+        out.width_px = picture.cols;
+        out.height_px = picture.rows;
+        const cv::Mat middle = grey_at(picture, std::min(io::kSharpWidth_px, picture.cols));
+        cv::Mat small;
+        cv::resize(middle, small, cv::Size(kFlowWidth_px, std::max(1, kFlowWidth_px * middle.rows / middle.cols)), 0, 0, cv::INTER_AREA);
+        seen.push_back({n, time_s, io::sharpness_of(middle), small});
+    }
+    if (film.complained() && n > 0) complained.push_back(n - 1);
+    if (to_the_end && said > 0 && static_cast<double>(n) + 2 < said)
+        out.warnings.push_back(text_of("%s: ends early, %zu of %.0f frames are there", file.c_str(), n, said));
+    return look;
+}
+
+/// Marks what is damaged, and says where that is.
+void leave_out_damaged(const fs::path& file, const std::vector<size_t>& complained, std::vector<Seen>& seen, VideoFrames& out) {
+    mark_damaged(file, complained, seen);
+    std::string where;
+    size_t count = 0;
+    for (size_t i = 0, first = 0; i <= seen.size(); ++i) {
+        const bool damaged = i < seen.size() && seen[i].damaged;
+        count += damaged;
+        if (damaged && (i == 0 || !seen[i - 1].damaged)) first = i;
+        if (!damaged && i > 0 && seen[i - 1].damaged) where += (where.empty() ? "" : ", ") + minutes(seen[first].time_s) + "-" + minutes(seen[i - 1].time_s);
+    }
+    if (count) out.warnings.push_back(file.string() + ": is damaged; no frame is taken from " + where);
+}
+
+/// Motion up to each frame. Flow is taken over several frames and shared out among them.
+std::vector<double> motion_before(const std::vector<Seen>& seen, double rate) {
     const size_t stride = std::max<size_t>(1, static_cast<size_t>(std::lround((rate > 0 && rate < 1000 ? rate : 30) / kFlowRate_hz)));
     const size_t pairs = (seen.size() - 1) / stride;
     std::vector<double> moved(pairs, 0), before(seen.size(), 0);
     tbb::parallel_for(size_t{0}, pairs, [&](size_t p) { moved[p] = motion_between(seen[p * stride].grey, seen[(p + 1) * stride].grey); });
     for (size_t i = 1; i < seen.size(); ++i)
         before[i] = before[i - 1] + (pairs ? moved[std::min((i - 1) / stride, pairs - 1)] : 0) / static_cast<double>(stride);
-    const double total = before.back();
-    if (total < kLeastMotion_px) throw InputError(file.string() + ": nothing moves in it. Remedy: a film of an object that turns, or is walked around");
+    return before;
+}
 
-    // One frame for every step of motion; a step that has no sound frame has none.
-    const auto wanted = static_cast<size_t>(options.frames);
+/// One frame for every step of motion; a step that has no sound frame has none.
+void choose_frames(const std::vector<Seen>& seen, const std::vector<double>& before, size_t wanted, VideoFrames& out) {
+    const double total = before.back();
     const double step = total / static_cast<double>(wanted);
     size_t next = 0;
     for (size_t k = 0; k < wanted; ++k) {
@@ -229,13 +234,10 @@ VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const V
         next = best_at + 1;
         out.frames.push_back({frame_name(best->index), best->index, best->time_s, before[best_at] / total, best->sharpness});
     }
-    if (out.frames.size() < wanted)
-        out.warnings.push_back(
-            text_of("%s: %zu frames instead of %zu: where it is damaged, or moves on too fast, there are none", file.c_str(), out.frames.size(), wanted));
-    if (out.frames.size() < 4) throw InputError(file.string() + ": fewer than 4 frames can be used. Remedy: another film, or --video-range");
-    out.looked_at = seen.size();
-    out.duration_s = seen.back().time_s - seen.front().time_s;
+}
 
+/// The chosen frames as pictures, and what is known of them.
+void write_frames(const fs::path& file, const fs::path& folder, const VideoFrames& out, Progress& progress) {
     std::error_code ignored;
     fs::remove_all(folder, ignored);
     make_folder(folder);
@@ -264,6 +266,34 @@ VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const V
     write();
     if (written < out.frames.size()) throw InputError(file.string() + ": could not be read a second time");
     write_file(folder / "frames.json", video_json(out));
+}
+
+}  // namespace
+
+VideoFrames extract_frames(const fs::path& file, const fs::path& folder, const VideoOptions& options, Progress& progress) {
+    if (options.frames < 4) throw UsageError("--video-frames " + std::to_string(options.frames) + ": at least 4 are needed");
+    if (!(options.from_s >= 0) || !(options.to_s == 0 || options.to_s > options.from_s))
+        throw UsageError(
+            text_of("--video-range %g,%g: seconds from the film's start are expected, the second more than the first", options.from_s, options.to_s));
+    VideoFrames out;
+    auto [seen, complained, rate] = look_through(file, options, out, progress);
+    if (seen.empty()) throw InputError(text_of("%s: has no frame from second %g on", file.c_str(), options.from_s));
+    if (!complained.empty()) leave_out_damaged(file, complained, seen, out);
+
+    const std::vector<double> before = motion_before(seen, rate);
+    const double total = before.back();
+    if (total < kLeastMotion_px) throw InputError(file.string() + ": nothing moves in it. Remedy: a film of an object that turns, or is walked around");
+
+    const auto wanted = static_cast<size_t>(options.frames);
+    choose_frames(seen, before, wanted, out);
+    if (out.frames.size() < wanted)
+        out.warnings.push_back(
+            text_of("%s: %zu frames instead of %zu: where it is damaged, or moves on too fast, there are none", file.c_str(), out.frames.size(), wanted));
+    if (out.frames.size() < 4) throw InputError(file.string() + ": fewer than 4 frames can be used. Remedy: another film, or --video-range");
+    out.looked_at = seen.size();
+    out.duration_s = seen.back().time_s - seen.front().time_s;
+
+    write_frames(file, folder, out, progress);
     return out;
 }
 

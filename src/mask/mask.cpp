@@ -121,34 +121,119 @@ struct Made {
     std::string problem;  ///< why there is none
 };
 
+void check_size(const View& view, const Image8& image, const fs::path& path, const char* what) {
+    const Intrinsics& k = view.camera.intrinsics;
+    if (image.width == k.width_px && image.height == k.height_px) return;
+    throw InputError(other_size(path.string() + " (" + what + ")", image.width, image.height, view.name, k.width_px, k.height_px));
+}
+
+/// Its alpha, where that says anything; else, by Auto, the image where it is a silhouette.
+void mask_of_image_itself(const Image8& image, const View& view, MaskMethod method, Made& out) {
+    Mask& mask = out.mask;
+    bool varies = false;
+    if (image.channels == 4) {
+        mask.coverage = Image8(image.width, image.height);
+        for (size_t i = 0; i < mask.coverage.data.size(); ++i) {
+            mask.coverage.data[i] = image.data[4 * i + 3];
+            varies |= mask.coverage.data[i] != mask.coverage.data[0];
+        }
+    }
+    if (varies) {
+        out.origin = "alpha of " + view.image_path.string();
+    } else if (method == MaskMethod::Auto && image.channels != 4) {
+        Image8 grey;
+        try {
+            grey = grey_of(image, view.image_path);
+        } catch (const InputError&) {
+        }
+        if (!grey.empty() && is_two_level(grey)) {
+            mask.coverage = grey;
+            out.origin = view.image_path.string() + " (the image itself is a silhouette)";
+        }
+    }
+    if (out.origin.empty()) {
+        out.problem = method == MaskMethod::Alpha ? "its image has no alpha that says anything" : "no mask file, and its image has no alpha";
+    }
+}
+
+/// By a method that looks at the photograph.
+void mask_of_photo(const View& view, const fs::path& scene, const MaskOptions& options, Progress& progress, Made& out) {
+    Mask& mask = out.mask;
+    const MaskMethod method = options.method;
+    const Image8 image = io::read_photo8(view.image_path, view.orientation);
+    check_size(view, image, view.image_path, "the image");
+    const auto photo = [&](const char* what) {
+        if (image.channels < 3) throw InputError(view.image_path.string() + ": is grey; " + what + " wants colour. Remedy: --mask threshold");
+        out.origin = what + (" of " + view.image_path.string());
+        return image.view();
+    };
+    if (method == MaskMethod::Threshold) {
+        mask = threshold_mask(image, options.threshold, options.clean_up);
+        out.origin = "threshold of " + view.image_path.string();
+    } else if (method == MaskMethod::Chroma) {
+        mask = chroma_mask(photo("chroma key"), options.chroma, options.clean_up);
+    } else if (method == MaskMethod::CleanPlate) {
+        const fs::path plate_path = plate_file(view, scene, options);
+        const Image8 plate = io::read_photo8(plate_path, view.orientation == 1 ? 1 : io::exif_orientation(plate_path));
+        check_size(view, plate, plate_path, "the clean plate");
+        if (plate.channels < 3) throw InputError(plate_path.string() + ": is grey; a clean plate in colour is wanted");
+        mask = plate_mask(photo("difference from the clean plate"), plate, options.plate, options.clean_up);
+    } else if (method == MaskMethod::GrabCut) {
+        const Image8 seed = options.grabcut.from_threshold
+                                ? seed_of_mask(threshold_mask(image, options.threshold, options.clean_up).coverage, 0.02 * std::min(image.width, image.height))
+                                : seed_of_box(image.width, image.height, options.grabcut.box_px);
+        mask = grabcut_mask(photo("GrabCut"), seed, options.grabcut, options.clean_up);
+    } else if (method == MaskMethod::Command) {
+        mask.coverage = like_photo(view, mask_of_command(view, options, progress));
+        check_size(view, mask.coverage, view.image_path, "what --mask-command made");
+        refuse_class_numbers(mask.coverage, view.image_path);
+        out.origin = options.command + " on " + view.image_path.string();
+    } else {
+        mask_of_image_itself(image, view, method, out);
+    }
+}
+
+/// The mask as a camera without distortion would have seen it; a coverage that was edited already is such.
+void remove_distortion(const View& view, bool edited, Mask& mask) {
+    const Intrinsics& k = view.camera.intrinsics;
+    Image8 outside;
+    Image8 straight = io::undistort(mask.coverage, k, view.lens, &outside);
+    if (!edited) mask.coverage = std::move(straight);
+    if (!mask.ignore.empty()) {
+        Image8 ignore = io::undistort(mask.ignore, k, view.lens, nullptr);
+        for (uint8_t& v : ignore.data) v = v >= 128 ? 255 : 0;
+        mask.ignore = std::move(ignore);
+    }
+    // Pixels that the lens never imaged are unknown, not background.
+    if (std::any_of(outside.data.begin(), outside.data.end(), [](uint8_t v) { return v != 0; })) {
+        if (mask.ignore.empty()) mask.ignore = Image8(k.width_px, k.height_px);
+        for (size_t i = 0; i < outside.data.size(); ++i) mask.ignore.data[i] |= outside.data[i];
+    }
+}
+
 /// The mask of one view; `edited` (or empty) is one that the user changed: it replaces the coverage, undistorted
 /// as it is, and what is to be ignored stays.
 Made make_one(const View& view, const fs::path& first_scene, const MaskOptions& options, const fs::path& edited, Progress& progress) {
     const fs::path& scene = view.scene.empty() ? first_scene : view.scene;
     Made out;
-    const Intrinsics& k = view.camera.intrinsics;
-    const auto check_size = [&](const Image8& image, const fs::path& path, const char* what) {
-        if (image.width == k.width_px && image.height == k.height_px) return;
-        throw InputError(other_size(path.string() + " (" + what + ")", image.width, image.height, view.name, k.width_px, k.height_px));
-    };
     Mask& mask = out.mask;
     const MaskMethod method = options.method;
     const bool want_folder = method == MaskMethod::Folder || method == MaskMethod::Auto;
     const fs::path file = want_folder && edited.empty() ? object_mask_file(view, scene, options) : fs::path();
     if (!edited.empty()) {
         mask.coverage = grey_of(io::read_image8(edited), edited);
-        check_size(mask.coverage, edited, "the edited mask");
+        check_size(view, mask.coverage, edited, "the edited mask");
         out.origin = edited.string() + " (edited by hand)";
     } else if (!file.empty()) {
         mask.coverage = like_photo(view, grey_of(io::read_image8(file), file));
-        check_size(mask.coverage, file, "the mask");
+        check_size(view, mask.coverage, file, "the mask");
         refuse_class_numbers(mask.coverage, file);
         out.origin = file.string();
     } else if (method == MaskMethod::Folder) {
         // A silhouette set has its masks as its images.
         const Image8 image = io::read_photo8(view.image_path, view.orientation);
         if (image.channels == 1 && is_two_level(image)) {
-            check_size(image, view.image_path, "the image");
+            check_size(view, image, view.image_path, "the image");
             mask.coverage = image;
             out.origin = view.image_path.string() + " (the image itself)";
         } else {
@@ -156,84 +241,17 @@ Made make_one(const View& view, const fs::path& first_scene, const MaskOptions& 
             return out;
         }
     } else {
-        const Image8 image = io::read_photo8(view.image_path, view.orientation);
-        check_size(image, view.image_path, "the image");
-        const auto photo = [&](const char* what) {
-            if (image.channels < 3) throw InputError(view.image_path.string() + ": is grey; " + what + " wants colour. Remedy: --mask threshold");
-            out.origin = what + (" of " + view.image_path.string());
-            return image.view();
-        };
-        if (method == MaskMethod::Threshold) {
-            mask = threshold_mask(image, options.threshold, options.clean_up);
-            out.origin = "threshold of " + view.image_path.string();
-        } else if (method == MaskMethod::Chroma) {
-            mask = chroma_mask(photo("chroma key"), options.chroma, options.clean_up);
-        } else if (method == MaskMethod::CleanPlate) {
-            const fs::path plate_path = plate_file(view, scene, options);
-            const Image8 plate = io::read_photo8(plate_path, view.orientation == 1 ? 1 : io::exif_orientation(plate_path));
-            check_size(plate, plate_path, "the clean plate");
-            if (plate.channels < 3) throw InputError(plate_path.string() + ": is grey; a clean plate in colour is wanted");
-            mask = plate_mask(photo("difference from the clean plate"), plate, options.plate, options.clean_up);
-        } else if (method == MaskMethod::GrabCut) {
-            const Image8 seed = options.grabcut.from_threshold ? seed_of_mask(threshold_mask(image, options.threshold, options.clean_up).coverage,
-                                                                              0.02 * std::min(image.width, image.height))
-                                                               : seed_of_box(image.width, image.height, options.grabcut.box_px);
-            mask = grabcut_mask(photo("GrabCut"), seed, options.grabcut, options.clean_up);
-        } else if (method == MaskMethod::Command) {
-            mask.coverage = like_photo(view, mask_of_command(view, options, progress));
-            check_size(mask.coverage, view.image_path, "what --mask-command made");
-            refuse_class_numbers(mask.coverage, view.image_path);
-            out.origin = options.command + " on " + view.image_path.string();
-        } else {
-            bool varies = false;
-            if (image.channels == 4) {
-                mask.coverage = Image8(image.width, image.height);
-                for (size_t i = 0; i < mask.coverage.data.size(); ++i) {
-                    mask.coverage.data[i] = image.data[4 * i + 3];
-                    varies |= mask.coverage.data[i] != mask.coverage.data[0];
-                }
-            }
-            if (varies) {
-                out.origin = "alpha of " + view.image_path.string();
-            } else if (method == MaskMethod::Auto && image.channels != 4) {
-                Image8 grey;
-                try {
-                    grey = grey_of(image, view.image_path);
-                } catch (const InputError&) {
-                }
-                if (!grey.empty() && is_two_level(grey)) {
-                    mask.coverage = grey;
-                    out.origin = view.image_path.string() + " (the image itself is a silhouette)";
-                }
-            }
-            if (out.origin.empty()) {
-                out.problem = method == MaskMethod::Alpha ? "its image has no alpha that says anything" : "no mask file, and its image has no alpha";
-                return out;
-            }
-        }
+        mask_of_photo(view, scene, options, progress, out);
+        if (!out.problem.empty()) return out;
     }
     if (options.invert && edited.empty())
         for (uint8_t& v : mask.coverage.data) v = static_cast<uint8_t>(255 - v);
     if (const fs::path ignore = ignore_mask_file(view, scene, options); !ignore.empty()) {
         mask.ignore = like_photo(view, grey_of(io::read_image8(ignore), ignore));
-        check_size(mask.ignore, ignore, "the ignore mask");
+        check_size(view, mask.ignore, ignore, "the ignore mask");
         for (uint8_t& v : mask.ignore.data) v = v >= 128 ? 255 : 0;
     }
-    if (view.lens.distorts()) {
-        Image8 outside;
-        Image8 straight = io::undistort(mask.coverage, k, view.lens, &outside);
-        if (edited.empty()) mask.coverage = std::move(straight);
-        if (!mask.ignore.empty()) {
-            Image8 ignore = io::undistort(mask.ignore, k, view.lens, nullptr);
-            for (uint8_t& v : ignore.data) v = v >= 128 ? 255 : 0;
-            mask.ignore = std::move(ignore);
-        }
-        // Pixels that the lens never imaged are unknown, not background.
-        if (std::any_of(outside.data.begin(), outside.data.end(), [](uint8_t v) { return v != 0; })) {
-            if (mask.ignore.empty()) mask.ignore = Image8(k.width_px, k.height_px);
-            for (size_t i = 0; i < outside.data.size(); ++i) mask.ignore.data[i] |= outside.data[i];
-        }
-    }
+    if (view.lens.distorts()) remove_distortion(view, !edited.empty(), mask);
     return out;
 }
 

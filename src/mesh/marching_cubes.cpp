@@ -154,6 +154,7 @@ kernel::LatticeFrame lattice_frame(const openvdb::math::Transform& transform) {
 }
 
 Mesh marching_cubes(const openvdb::FloatGrid& surface, bool normals) {
+    // Reads better whole: two passes over the same leaves, whose counts, offsets and indices must agree.
     std::vector<const Leaf*> leaves;
     surface.tree().getNodes(leaves);
     std::vector<Coord> origins;

@@ -69,6 +69,54 @@ The run again, as far as masks and cameras decide it:
 with the options of config.toml for grid, carving and result. What masks ignored is not here.
 )";
 
+/// What the run says about itself.
+void add_run(TarGz& archive, const fs::path& result, const BundleOptions& options) {
+    for (const char* name : {"report.json", "config.toml"})
+        if (fs::exists(result / name)) archive.add(name, read_file(result / name));
+    if (fs::exists(result / "stages" / "failure.json"))
+        for (const char* name : {"failure.json", "failure.toml", "cameras.json"})
+            if (fs::exists(result / "stages" / name)) archive.add(std::string("failure/") + name, read_file(result / "stages" / name));
+    for (const fs::path& left : sorted_files(result / "unverified")) {
+        const bool shows_photographs = left.extension() == ".png" && left.filename() != "energy_map.png";
+        if (options.photos || !shows_photographs) archive.add("unverified/" + left.filename().string(), read_file(left));
+    }
+}
+
+/// A mask, and the view that it is of (or null): its camera without lens, and its photograph. The view is changed to what the archive has of it.
+void add_view(TarGz& archive, const fs::path& mask_file, View* view, const BundleOptions& options, Progress& progress) {
+    Image8 mask = io::read_image8(mask_file);
+    const std::string name = mask_file.filename().string();
+    const double factor = options.width_px > 0 ? std::min(1.0, static_cast<double>(options.width_px) / mask.width) : 1.0;
+    int width = static_cast<int>(std::lround(factor * mask.width)), height = static_cast<int>(std::lround(factor * mask.height));
+    const Camera as_it_is = view ? view->camera : Camera();
+    if (view) {
+        view->camera = scaled(view->camera, factor);
+        width = view->camera.intrinsics.width_px;
+        height = view->camera.intrinsics.height_px;
+    }
+    const auto smaller = [&](Image8 image) { return image.width == width && image.height == height ? image : io::downscale(image.view(), width, height); };
+    if (view && options.photos && !view->image_path.empty()) {
+        View whole = *view;
+        whole.camera = as_it_is;
+        view->image_path.clear();
+        try {
+            const auto jpeg = io::encode_jpeg(smaller(load_photo8(whole)).view(), 88, 0);
+            view->image_path = "images/" + mask_file.stem().string() + ".jpg";
+            archive.add("scene/" + view->image_path.string(), {reinterpret_cast<const char*>(jpeg.data()), jpeg.size()});
+        } catch (const InputError& e) {
+            progress.note(std::string("without a photograph: ") + e.what());
+        }
+    }
+    if (view && (!options.photos || view->image_path.empty())) view->image_path = "masks/" + name;
+    const auto png = io::encode_png(smaller(std::move(mask)));
+    archive.add("scene/masks/" + name, {reinterpret_cast<const char*>(png.data()), png.size()});
+    if (view) {
+        view->lens = {};
+        view->orientation = 1;
+        view->name = view->image_path.string();
+    }
+}
+
 }  // namespace
 
 size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions& options, Progress& progress) {
@@ -84,15 +132,7 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     TarGz archive("vdbcarve-bundle");
     archive.add("README.txt", kReadMe);
     archive.add("versions.json", versions());
-    for (const char* name : {"report.json", "config.toml"})
-        if (fs::exists(result / name)) archive.add(name, read_file(result / name));
-    if (fs::exists(result / "stages" / "failure.json"))
-        for (const char* name : {"failure.json", "failure.toml", "cameras.json"})
-            if (fs::exists(result / "stages" / name)) archive.add(std::string("failure/") + name, read_file(result / "stages" / name));
-    for (const fs::path& left : sorted_files(result / "unverified")) {
-        const bool shows_photographs = left.extension() == ".png" && left.filename() != "energy_map.png";
-        if (options.photos || !shows_photographs) archive.add("unverified/" + left.filename().string(), read_file(left));
-    }
+    add_run(archive, result, options);
 
     std::vector<fs::path> masks = sorted_files(result / "masks");
     std::erase_if(masks, [](const fs::path& mask) { return mask.extension() != ".png"; });
@@ -111,40 +151,10 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     progress.begin("bundle", masks.size() + 1);
     std::vector<View> kept;
     for (const fs::path& mask_file : masks) {
-        Image8 mask = io::read_image8(mask_file);
-        const std::string name = mask_file.filename().string();
-        const double factor = options.width_px > 0 ? std::min(1.0, static_cast<double>(options.width_px) / mask.width) : 1.0;
-        const auto found = std::find(names.begin(), names.end(), name);
+        const auto found = std::find(names.begin(), names.end(), mask_file.filename().string());
         View* view = found == names.end() ? nullptr : &views.views[static_cast<size_t>(found - names.begin())];
-        int width = static_cast<int>(std::lround(factor * mask.width)), height = static_cast<int>(std::lround(factor * mask.height));
-        const Camera as_it_is = view ? view->camera : Camera();
-        if (view) {
-            view->camera = scaled(view->camera, factor);
-            width = view->camera.intrinsics.width_px;
-            height = view->camera.intrinsics.height_px;
-        }
-        const auto smaller = [&](Image8 image) { return image.width == width && image.height == height ? image : io::downscale(image.view(), width, height); };
-        if (view && options.photos && !view->image_path.empty()) {
-            View whole = *view;
-            whole.camera = as_it_is;
-            view->image_path.clear();
-            try {
-                const auto jpeg = io::encode_jpeg(smaller(load_photo8(whole)).view(), 88, 0);
-                view->image_path = "images/" + mask_file.stem().string() + ".jpg";
-                archive.add("scene/" + view->image_path.string(), {reinterpret_cast<const char*>(jpeg.data()), jpeg.size()});
-            } catch (const InputError& e) {
-                progress.note(std::string("without a photograph: ") + e.what());
-            }
-        }
-        if (view && (!options.photos || view->image_path.empty())) view->image_path = "masks/" + name;
-        const auto png = io::encode_png(smaller(std::move(mask)));
-        archive.add("scene/masks/" + name, {reinterpret_cast<const char*>(png.data()), png.size()});
-        if (view) {
-            view->lens = {};
-            view->orientation = 1;
-            view->name = view->image_path.string();
-            kept.push_back(*view);
-        }
+        add_view(archive, mask_file, view, options, progress);
+        if (view) kept.push_back(*view);
         progress.step();
     }
     if (!kept.empty()) {

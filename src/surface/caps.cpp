@@ -211,6 +211,7 @@ double slope_of_views(const openvdb::FloatGrid& surface, const std::vector<Camer
 }
 
 openvdb::FloatGrid::Ptr clear_floor(openvdb::FloatGrid::Ptr surface, const Vec3d& up, double height, double clear, double slope, Progress& progress) {
+    // Reads better whole: everything counts in the same layers and columns of the grid.
     int axis = 0;
     if (up.cwiseAbs().maxCoeff(&axis) < 1 - 1e-9) throw InputError("the floor can be cleared along an axis of the world only");
     const int u = (axis + 1) % 3, v = (axis + 2) % 3, upwards = up[axis] > 0 ? 1 : -1;

@@ -52,11 +52,8 @@ double likeness(const Sight& a, const Sight& b) {
     return (sab - sa * sb / n) / std::sqrt(va * vb);
 }
 
-}  // namespace
-
-std::optional<Floor> find_table(const openvdb::FloatGrid& hull, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks,
-                                const std::function<Image8(size_t)>& photo_of, const Vec3d& up, Progress& progress) {
-    // The object's axis, radius and height.
+/// Of what lies inside the hull.
+Box3d box_of_inside(const openvdb::FloatGrid& hull) {
     Box3d box;
     for (auto leaf = hull.tree().cbeginLeaf(); leaf; ++leaf)
         for (auto v = leaf->cbeginValueOn(); v; ++v)
@@ -64,6 +61,45 @@ std::optional<Floor> find_table(const openvdb::FloatGrid& hull, const std::vecto
                 const openvdb::Vec3d x = hull.indexToWorld(v.getCoord());
                 box.extend(Vec3d(x.x(), x.y(), x.z()));
             }
+    return box;
+}
+
+/// A photograph, small and without its slow changes, and what of it is beside the object.
+Picture picture_of(const Image8& photo, const MaskView& mask) {
+    Picture p;
+    p.scale = std::min(1.0, static_cast<double>(kPhoto_px) / std::max(photo.width, photo.height));
+    cv::Mat grey = io::wrap(photo.view()), small, slow, object;
+    if (photo.channels > 1) cv::cvtColor(io::wrap(photo.view()), grey, photo.channels == 4 ? cv::COLOR_RGBA2GRAY : cv::COLOR_RGB2GRAY);
+    cv::resize(grey, small, cv::Size(), p.scale, p.scale, cv::INTER_AREA);
+    small.convertTo(p.grey, CV_32F);
+    cv::blur(p.grey, slow, cv::Size(61, 61));
+    p.grey -= slow;
+    cv::GaussianBlur(p.grey, p.grey, cv::Size(), 1.0);
+    cv::resize(io::wrap(mask.coverage), object, small.size(), 0, 0, cv::INTER_AREA);
+    cv::dilate(object, object, cv::getStructuringElement(cv::MORPH_ELLIPSE, {7, 7}));
+    p.outside = object < 8;
+    return p;
+}
+
+/// Views beside each other, whose pictures compare.
+std::vector<std::pair<size_t, size_t>> neighbours(const std::vector<Camera>& cameras, const std::vector<Picture>& pictures, const Vec3d& middle,
+                                                  const Vec3d& up) {
+    const std::vector<double> azimuth = azimuths_rad(cameras, middle, up);
+    std::vector<std::pair<size_t, size_t>> pairs;
+    for (size_t i = 0; i < cameras.size(); ++i)
+        for (size_t j = i + 1; j < cameras.size(); ++j) {
+            const double apart = std::fabs(std::remainder(azimuth[i] - azimuth[j], 2 * std::numbers::pi)) / kRadians;
+            if (pictures[i].scale > 0 && pictures[j].scale > 0 && apart < kWidestPair_deg && apart > kNarrowestPair_deg) pairs.emplace_back(i, j);
+        }
+    return pairs;
+}
+
+}  // namespace
+
+std::optional<Floor> find_table(const openvdb::FloatGrid& hull, const std::vector<Camera>& cameras, const std::vector<MaskView>& masks,
+                                const std::function<Image8(size_t)>& photo_of, const Vec3d& up, Progress& progress) {
+    // The object's axis, radius and height.
+    const Box3d box = box_of_inside(hull);
     if (box.isEmpty()) return std::nullopt;
     const Vec3d middle = box.center(), side = up.unitOrthogonal(), across = up.cross(side);
     const Vec3d half = 0.5 * box.sizes();
@@ -76,28 +112,10 @@ std::optional<Floor> find_table(const openvdb::FloatGrid& hull, const std::vecto
         progress.step();
         if (masks[i].coverage.empty() || cameras[i].intrinsics.orthographic) return;
         const Image8 photo = photo_of(i);
-        if (photo.empty()) return;
-        Picture& p = pictures[i];
-        p.scale = std::min(1.0, static_cast<double>(kPhoto_px) / std::max(photo.width, photo.height));
-        cv::Mat grey = io::wrap(photo.view()), small, slow, object;
-        if (photo.channels > 1) cv::cvtColor(io::wrap(photo.view()), grey, photo.channels == 4 ? cv::COLOR_RGBA2GRAY : cv::COLOR_RGB2GRAY);
-        cv::resize(grey, small, cv::Size(), p.scale, p.scale, cv::INTER_AREA);
-        small.convertTo(p.grey, CV_32F);
-        cv::blur(p.grey, slow, cv::Size(61, 61));
-        p.grey -= slow;
-        cv::GaussianBlur(p.grey, p.grey, cv::Size(), 1.0);
-        cv::resize(io::wrap(masks[i].coverage), object, small.size(), 0, 0, cv::INTER_AREA);
-        cv::dilate(object, object, cv::getStructuringElement(cv::MORPH_ELLIPSE, {7, 7}));
-        p.outside = object < 8;
+        if (!photo.empty()) pictures[i] = picture_of(photo, masks[i]);
     });
 
-    const std::vector<double> azimuth = azimuths_rad(cameras, middle, up);
-    std::vector<std::pair<size_t, size_t>> pairs;
-    for (size_t i = 0; i < cameras.size(); ++i)
-        for (size_t j = i + 1; j < cameras.size(); ++j) {
-            const double apart = std::fabs(std::remainder(azimuth[i] - azimuth[j], 2 * std::numbers::pi)) / kRadians;
-            if (pictures[i].scale > 0 && pictures[j].scale > 0 && apart < kWidestPair_deg && apart > kNarrowestPair_deg) pairs.emplace_back(i, j);
-        }
+    const std::vector<std::pair<size_t, size_t>> pairs = neighbours(cameras, pictures, middle, up);
     if (pairs.size() < kLeastPairs) return std::nullopt;
 
     const auto sight_of = [&](size_t view, double at) {

@@ -85,6 +85,7 @@ int64_t volume_units(const openvdb::FloatGrid& surface) {
 }
 
 openvdb::FloatGrid::Ptr redistance(openvdb::FloatGrid::Ptr hull, int half_width_vox, VolumeRepair* repair, Progress& progress) {
+    // Reads better whole: the passes share the leaves, their buffers and what of them is decided.
     const auto voxel = static_cast<float>(hull->voxelSize()[0]);
     // A surface that may be moved needs a band that still reaches far enough afterwards.
     const int solved_vox = half_width_vox + (repair && repair->move ? 1 : 0);

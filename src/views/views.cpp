@@ -283,6 +283,59 @@ std::vector<std::string> without_camera(const std::vector<View>& views, const st
     return out;
 }
 
+/// What the camera file leaves to its photographs: size, orientation, focal length; and the first pixel's centre at (0.5, 0.5).
+void settle_view(io::ImportedView& imported, const fs::path& camera_folder, bool integer_centres) {
+    View& view = imported.view;
+    Intrinsics& k = view.camera.intrinsics;
+    if (!view.mask_path.empty() && view.mask_path.is_relative()) view.mask_path = camera_folder / view.mask_path;
+    if (k.width_px == 0 || k.height_px == 0 || imported.angle_x_rad > 0 || imported.focal_36mm > 0) {
+        const auto [width, height] = io::stored_size(view.image_path);
+        if (k.width_px == 0) k.width_px = width;
+        if (k.height_px == 0) k.height_px = height;
+    }
+    // A camera file that gives the size of the turned photograph was made by a program that turned it. (Ours says so.)
+    if (view.orientation == 1 && !view.image_path.empty() && k.width_px != k.height_px) {
+        const int said = io::exif_orientation(view.image_path);
+        if (said >= 5 && io::stored_size(view.image_path) == std::pair{k.height_px, k.width_px}) view.orientation = said;
+    }
+    if (imported.angle_x_rad > 0) k.fx = k.fy = 0.5 * k.width_px / std::tan(0.5 * imported.angle_x_rad);
+    if (imported.focal_36mm > 0) {
+        const double per_mm = std::max(k.width_px, k.height_px) / 36.0;
+        k.fx = k.fy = imported.focal_36mm * per_mm;
+        k.cx = 0.5 * k.width_px + imported.centre_36mm.x() * per_mm;
+        k.cy = 0.5 * k.height_px + imported.centre_36mm.y() * per_mm;
+    }
+    if (k.cx == -1e9) k.cx = 0.5 * k.width_px;
+    else if (integer_centres) k.cx += 0.5;
+    if (k.cy == -1e9) k.cy = 0.5 * k.height_px;
+    else if (integer_centres) k.cy += 0.5;
+    // Files written with few digits are orthonormal to those digits only; what is exact stays untouched.
+    Mat3d& rotation = view.camera.camera_from_world.rotation;
+    if (is_rotation(rotation) && !is_rotation(rotation, 1e-14)) rotation = nearest_rotation(rotation);
+}
+
+/// By the photograph, the view whose it is. Throws InputError where it is the one of two views.
+std::map<fs::path, std::string> photographs_of(const Views& out) {
+    std::map<fs::path, std::string> taken;
+    for (const View& v : out.views) {
+        if (v.image_path.empty()) continue;
+        const auto [other, fresh] = taken.emplace(v.image_path, v.name);
+        if (!fresh && other->second != v.name)
+            throw InputError(v.image_path.string() + ": is the image of both " + other->second + " and " + v.name + ". Remedy: keep the camera file's folders");
+    }
+    return taken;
+}
+
+/// Cameras without names are those of the photographs in natural order.
+void name_by_photographs(io::Imported& imported, const ViewsOptions& options, const fs::path& file) {
+    if (!std::all_of(imported.views.begin(), imported.views.end(), [](const io::ImportedView& v) { return v.view.name.empty(); })) return;
+    const std::vector<std::string> photos = photos_in(photo_folder(options));
+    if (photos.size() != imported.views.size())
+        throw InputError(file.string() + ": holds " + std::to_string(imported.views.size()) + " cameras without names, but the scene has " +
+                         std::to_string(photos.size()) + " images");
+    for (size_t i = 0; i < photos.size(); ++i) imported.views[i].view.name = photos[i];
+}
+
 Views load_scene(const ViewsOptions& options, Progress& progress) {
     if (!fs::is_directory(options.scene)) {
         if (fs::is_regular_file(options.scene))
@@ -313,15 +366,7 @@ Views load_scene(const ViewsOptions& options, Progress& progress) {
     out.metric = imported.metric;
     out.unverified = imported.unverified;
 
-    const bool nameless = std::all_of(imported.views.begin(), imported.views.end(), [](const io::ImportedView& v) { return v.view.name.empty(); });
-    if (nameless) {
-        const std::vector<std::string> photos = photos_in(photo_folder(options));
-        if (photos.size() != imported.views.size())
-            throw InputError(found.path.string() + ": holds " + std::to_string(imported.views.size()) + " cameras without names, but the scene has " +
-                             std::to_string(photos.size()) + " images");
-        for (size_t i = 0; i < photos.size(); ++i) imported.views[i].view.name = photos[i];
-    }
-
+    name_by_photographs(imported, options, found.path);
     const fs::path camera_folder = fs::is_directory(found.path) ? found.path : found.path.parent_path();
     ImageFinder finder(options, camera_folder);
     std::vector<std::string> names;
@@ -344,42 +389,12 @@ Views load_scene(const ViewsOptions& options, Progress& progress) {
             throw InputError(where + ": image not found in " + (options.images.empty() ? options.scene : options.images).string() +
                              " or its images/. Remedy: --images DIR, or --allow-missing to leave such views out");
         }
-        if (!view.mask_path.empty() && view.mask_path.is_relative()) view.mask_path = camera_folder / view.mask_path;
-        if (k.width_px == 0 || k.height_px == 0 || v.angle_x_rad > 0 || v.focal_36mm > 0) {
-            const auto [width, height] = io::stored_size(view.image_path);
-            if (k.width_px == 0) k.width_px = width;
-            if (k.height_px == 0) k.height_px = height;
-        }
-        // A camera file that gives the size of the turned photograph was made by a program that turned it. (Ours says so.)
-        if (view.orientation == 1 && !view.image_path.empty() && k.width_px != k.height_px) {
-            const int said = io::exif_orientation(view.image_path);
-            if (said >= 5 && io::stored_size(view.image_path) == std::pair{k.height_px, k.width_px}) view.orientation = said;
-        }
-        if (v.angle_x_rad > 0) k.fx = k.fy = 0.5 * k.width_px / std::tan(0.5 * v.angle_x_rad);
-        if (v.focal_36mm > 0) {
-            const double per_mm = std::max(k.width_px, k.height_px) / 36.0;
-            k.fx = k.fy = v.focal_36mm * per_mm;
-            k.cx = 0.5 * k.width_px + v.centre_36mm.x() * per_mm;
-            k.cy = 0.5 * k.height_px + v.centre_36mm.y() * per_mm;
-        }
-        if (k.cx == -1e9) k.cx = 0.5 * k.width_px;
-        else if (integer_centres) k.cx += 0.5;
-        if (k.cy == -1e9) k.cy = 0.5 * k.height_px;
-        else if (integer_centres) k.cy += 0.5;
+        settle_view(v, camera_folder, integer_centres);
         if (std::none_of(out.sittings.begin(), out.sittings.end(), [&](const Sitting& x) { return x.id == view.sitting; }))
             throw InputError(where + ": names sitting '" + view.sitting + "', which the file does not describe");
-        // Files written with few digits are orthonormal to those digits only; what is exact stays untouched.
-        Mat3d& rotation = view.camera.camera_from_world.rotation;
-        if (is_rotation(rotation) && !is_rotation(rotation, 1e-14)) rotation = nearest_rotation(rotation);
         out.views.push_back(view);
     }
-    std::map<fs::path, std::string> taken;
-    for (const View& v : out.views) {
-        if (v.image_path.empty()) continue;
-        const auto [other, fresh] = taken.emplace(v.image_path, v.name);
-        if (!fresh && other->second != v.name)
-            throw InputError(v.image_path.string() + ": is the image of both " + other->second + " and " + v.name + ". Remedy: keep the camera file's folders");
-    }
+    const std::map<fs::path, std::string> taken = photographs_of(out);
     if (!out.left_out.empty() && !options.is_whole)
         progress.warn(found.path.string() + ": " + counted(out.left_out.size(), "view") + " left out, image not found: " + some_of(out.left_out));
     if (out.views.empty())

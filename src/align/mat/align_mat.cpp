@@ -163,6 +163,7 @@ void set_print(std::vector<Seen>& seen, const Print& print) {
 /// stretch paper, and paper is not flat (Strobl and Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", ICCV workshops 2011).
 /// Corners are held near the layout by priors, which keep the world's place and size.
 void bundle(Calibration& c, std::vector<Seen>& seen, std::optional<int> lens_flags, Print* print) {
+    // Reads better whole: what a residual adds to each block of the normal equations, and what the blocks are solved for, belong together.
     constexpr double kCorner_px = 0.3, kInPlane_m = 0.001, kOffPlane_m = 0.005;
     std::map<std::pair<float, float>, int> corner_of;
     if (print)

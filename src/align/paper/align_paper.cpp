@@ -284,6 +284,7 @@ std::array<size_t, 2> paper_views(const Views& views, const Silhouettes& silhoue
 
 PaperFit fit_like_the_paper(const std::vector<MaskView>& masks, const Silhouettes& silhouettes, const std::vector<OrbitView>& nominal,
                             std::array<size_t, 2> two, Progress& progress) {
+    // Reads better whole: one step after the other, numbered as in the paper, each with what the ones before it made.
     const std::vector<size_t>& seen = silhouettes.seen();
     const double shrink = kObject_px / silhouettes.size_px();
     // Silhouettes in small pictures, each around its own middle.
