@@ -10,6 +10,8 @@
 
 namespace vdbcarve {
 
+inline constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's is no lens but a flight from perspective
+
 /// The given views with a model's cameras.
 Views with_cameras(const Views& given, const OrbitModel& model);
 

@@ -13,7 +13,7 @@
 namespace vdbcarve {
 namespace {
 
-constexpr size_t kLeastVoters = 12;   ///< silhouettes, for one to be outvoted by the rest
+constexpr size_t kLeastVoters = 12;  ///< silhouettes, for one to be outvoted by the rest
 
 }  // namespace
 

@@ -110,8 +110,8 @@ void Alignment::find() {
         best_ = aligner_.run(out_.rungs);
     }
     // Of several rings the other direction was tried with the first one only: it is there for its residual, not to be chosen.
-    Turn turn = sitting_of_.empty() ? RingAligner::lead(best_).turn
-                                    : std::find_if(best_.begin(), best_.end(), [&](const auto& b) { return whole(b.second); })->first;
+    Turn turn =
+        sitting_of_.empty() ? RingAligner::lead(best_).turn : std::find_if(best_.begin(), best_.end(), [&](const auto& b) { return whole(b.second); })->first;
     if (o_.method == AlignMethod::Coherence && o_.features && mirrored_alike(best_[turn])) turn = direction_by_features(turn);
     c_ = best_[turn];
 }

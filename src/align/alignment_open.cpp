@@ -5,13 +5,11 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <numeric>
+#include <optional>
 #include <random>
 
-#include "align/align_scale.h"
 #include "base/statistics.h"
-#include "surface/coarse_hull.h"
-#include "vdbcarve/mesh.h"
-#include "vdbcarve/raster.h"
 
 namespace vdbcarve {
 

@@ -5,14 +5,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "align/align_join.h"
 #include "base/statistics.h"
 #include "vdbcarve/caps.h"
 
 namespace vdbcarve {
 namespace {
 
-constexpr size_t kFewViews = 12;      ///< fewer may leave angles open by degrees without any of the tests noticing
-constexpr double kMostLnFocal = 1.5;  ///< a focal length 4.5 times its start's is no lens but a flight from perspective
+constexpr size_t kFewViews = 12;  ///< fewer may leave angles open by degrees without any of the tests noticing
 
 /// Cameras of a later sitting in that sitting's own world, which is where its first ring stands.
 void set_sittings(Views& views, const OrbitModel& m, const std::vector<int>& sitting_of) {

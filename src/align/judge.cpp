@@ -47,16 +47,14 @@ std::vector<size_t> Judge::contradicting(const std::vector<AlignedView>& views, 
     std::vector<double> own, dissent;
     for (size_t i : s_.seen()) own.push_back(views[i].residual_px), dissent.push_back(views[i].dissent);
     // Real masks stray by a pixel here and there; that is what trimming points is for.
-    const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}),
-                 dissent_limit = std::clamp(5 * median(dissent), 0.008, robust ? 0.02 : 1.0);
+    const double own_limit = std::max({2.0, s_.size_px() / 200, 5 * median(own)}), dissent_limit = std::clamp(5 * median(dissent), 0.008, robust ? 0.02 : 1.0);
     std::vector<std::pair<double, size_t>> worst;
     for (size_t i : s_.seen())
         if (!std::count(known.begin(), known.end(), i) && (views[i].residual_px > own_limit || views[i].dissent > dissent_limit))
             worst.push_back({std::max(views[i].residual_px / own_limit, views[i].dissent / dissent_limit), i});
     std::sort(worst.rbegin(), worst.rend());
     for (const auto& [how, i] : worst)
-        aligner_.trace("contradicts: %zu own %.2f (limit %.2f) dissent %.4f (limit %.4f)", i, views[i].residual_px, own_limit, views[i].dissent,
-                       dissent_limit);
+        aligner_.trace("contradicts: %zu own %.2f (limit %.2f) dissent %.4f (limit %.4f)", i, views[i].residual_px, own_limit, views[i].dissent, dissent_limit);
     std::vector<size_t> out = known;
     for (const auto& [how, i] : worst)
         if (how >= 0.3 * worst.front().first && out.size() < s_.seen().size() / 4) out.push_back(i);

@@ -5,11 +5,9 @@
 #include <cstdio>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <set>
 #include <sstream>
 
 #include "base/atomic_file.h"
-#include "base/statistics.h"
 #include "vdbcarve/app/bench.h"
 
 namespace vdbcarve {

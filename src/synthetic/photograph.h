@@ -2,7 +2,11 @@
 // Photographs of a synthetic object: light, room, table, lamps and sensor.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "synthetic/object.h"
+#include "synthetic/rig.h"
 
 namespace vdbcarve::synth {
 
