@@ -2,7 +2,7 @@
 # Packs binaries with the shared libraries they need, for another Linux (x86-64, glibc 2.36 or newer) where nothing can be installed:
 #   tools/pack_portable.sh [--output FILE.tgz] [--preset release] [--tests] [FOLDER …]
 # Without --tests the program itself; with it the tests and the benchmark of the GPU, which need no image codecs, and FOLDERs of packed
-# scenes (tests/pack_scene.cpp). The C library and the loader stay behind: those of the other machine are used. Unpacked:
+# scenes (tests/device/pack_scene.cpp). The C library and the loader stay behind: those of the other machine are used. Unpacked:
 #   LD_LIBRARY_PATH=vdbcarve-portable/lib vdbcarve-portable/bin/vdbcarve --help      (bin/ has a starter that sets it)
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)

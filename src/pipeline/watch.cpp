@@ -3,10 +3,10 @@
 
 #include <algorithm>
 #include <chrono>
+#include <limits>
 #include <map>
 #include <optional>
 #include <set>
-#include <thread>
 
 #include "views/scene_path.h"
 #include "image/image_io.h"
@@ -18,7 +18,6 @@
 namespace vdbcarve {
 
 namespace fs = std::filesystem;
-using Clock = std::chrono::steady_clock;
 
 namespace {
 
@@ -26,12 +25,10 @@ namespace {
 class Folders {
   public:
     Folders(std::vector<fs::path> roots, const fs::path& without, double settle_s)
-        : roots_(std::move(roots)),
-          without_(fs::weakly_canonical(without)),
-          settle_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settle_s))) {}
+        : roots_(std::move(roots)), without_(fs::weakly_canonical(without)), settle_s_(settle_s) {}
 
-    void look() {
-        const auto now = Clock::now();
+    /// now_s: of a clock that only ever goes on.
+    void look(double now_s) {
         std::map<fs::path, File> seen;
         for (const fs::path& root : roots_) {
             std::error_code gone;  // files and folders may vanish under our eyes: then the next look is taken
@@ -51,19 +48,19 @@ class Folders {
                 if (error) continue;
                 const auto known = files_.find(path);
                 if (known != files_.end() && known->second.size == file.size && known->second.written == file.written) {
-                    file.since = known->second.since;
+                    file.since_s = known->second.since_s;
                     file.trouble = known->second.trouble;
                 } else {
                     // What was here long before is whole at first sight; a clock that is ahead says nothing.
-                    const auto age = fs::file_time_type::clock::now() - file.written;
-                    file.since = known == files_.end() && age > settle_ ? now - settle_ : now;
+                    const double age_s = std::chrono::duration<double>(fs::file_time_type::clock::now() - file.written).count();
+                    file.since_s = known == files_.end() && age_s > settle_s_ ? -std::numeric_limits<double>::infinity() : now_s;
                 }
                 seen.emplace(path, file);
             }
             if (gone) return;
         }
         files_ = std::move(seen);
-        looked_ = now;
+        looked_s_ = now_s;
     }
 
     /// The photograph is whole, and so is what is called like it: its mask. One that lies elsewhere (a camera file may name it) is taken as it is.
@@ -99,7 +96,7 @@ class Folders {
     struct File {
         uintmax_t size = 0;
         fs::file_time_type written;
-        Clock::time_point since;
+        double since_s = 0;
         std::optional<std::string> trouble;  ///< why it cannot be read; empty: it can; none: not tried
     };
     /// A picture that ends early or is none would hold up all that come after it. Each is tried once.
@@ -116,7 +113,7 @@ class Folders {
         if (!file.trouble->empty()) damaged_.insert(*file.trouble);
         return file.trouble->empty();
     }
-    bool is_settled(const File& file) const { return looked_ - file.since >= settle_; }
+    bool is_settled(const File& file) const { return looked_s_ - file.since_s >= settle_s_; }
     bool is_ours(const fs::path& path) const {
         return std::any_of(roots_.begin(), roots_.end(),
                            [&](const fs::path& root) { return std::mismatch(root.begin(), root.end(), path.begin(), path.end()).first == root.end(); });
@@ -124,10 +121,10 @@ class Folders {
 
     std::vector<fs::path> roots_;
     fs::path without_;
-    Clock::duration settle_;
+    double settle_s_;
     std::map<fs::path, File> files_;
     std::set<std::string> damaged_;
-    Clock::time_point looked_;
+    double looked_s_ = 0;
 };
 
 }  // namespace
@@ -191,12 +188,12 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
             say_what_is_out({});
             throw;
         }
-        const auto start = Clock::now();
+        const double start_s = options.now_s();
         result = reconstruct(job, progress);
         trouble = nullptr;
         ++made;
         waiting.clear();
-        progress.note(text_of("%s: result in %.1f s", counted(result.views, "view").c_str(), std::chrono::duration<double>(Clock::now() - start).count()));
+        progress.note(text_of("%s: result in %.1f s", counted(result.views, "view").c_str(), options.now_s() - start_s));
         if (!result.contradiction.empty()) progress.warn(result.contradiction);
         if (options.on_result) options.on_result(result);
     };
@@ -213,15 +210,15 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
                              ". Remedy: a longer --idle; another watch goes on from there");
         return result;
     };
-    auto changed = Clock::now();
-    for (;; std::this_thread::sleep_for(std::chrono::duration<double>(options.poll_s))) {
+    double changed_s = options.now_s();
+    for (;; options.sleep_s(options.poll_s)) {
         try {
             progress.check();
         } catch (const Interrupted&) {
             if (made) progress.note("stopped while waiting: " + options.reconstruct.run.output.string() + " is of " + counted(result.views, "view"));
             throw;
         }
-        folder.look();
+        folder.look(options.now_s());
         const std::string state = folder.state();
         if (done != state) {
             done = state;
@@ -236,11 +233,11 @@ Reconstruction watch(const WatchOptions& options, Progress& progress) {
             } catch (const fs::filesystem_error& e) {  // something was taken away while it was looked at
                 in_trouble(InputError(e.what()));
             }
-            changed = Clock::now();
+            changed_s = options.now_s();
             if (options.until_views && made && !trouble && result.views >= options.until_views) return result;
         }
-        if (folder.unsettled()) changed = Clock::now();
-        if (options.idle_s > 0 && std::chrono::duration<double>(Clock::now() - changed).count() > options.idle_s) return last_result();
+        if (folder.unsettled()) changed_s = options.now_s();
+        if (options.idle_s > 0 && options.now_s() - changed_s > options.idle_s) return last_result();
     }
 }
 

@@ -56,6 +56,14 @@ SyntheticSpec hand_held_orbit(uint64_t seed) {
     return spec;
 }
 
+SyntheticSpec small_orbit(uint64_t seed, int views) {
+    SyntheticSpec spec = hand_held_orbit(seed);
+    spec.rig.views = views;
+    spec.rig.width_px = 480;
+    spec.rig.height_px = 360;
+    return spec;
+}
+
 Views without_cameras(const Views& views, double focal_factor) {
     Views out = views;
     out.posed = false;

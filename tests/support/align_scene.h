@@ -15,6 +15,9 @@ std::vector<Solid> round_object();
 /// 36 views of a lump, 640 x 480, f 1300: angles off by up to 5 degrees, aim by 1.2 % of the distance, roll by 2 degrees. No photographs.
 SyntheticSpec hand_held_orbit(uint64_t seed);
 
+/// Fewer and smaller of them: 480 x 360.
+SyntheticSpec small_orbit(uint64_t seed, int views);
+
 /// The same views as an aligner gets them: no poses; focal lengths times `focal_factor`, or none for 0.
 Views without_cameras(const Views& views, double focal_factor);
 

@@ -2,7 +2,9 @@
 // Photographs become a result while they arrive.
 #pragma once
 
+#include <chrono>
 #include <functional>
+#include <thread>
 
 #include "vdbcarve/pipeline.h"
 
@@ -16,6 +18,9 @@ struct WatchOptions {
     size_t until_views = 0;                                ///< end when the result is of so many; 0: go on
     double idle_s = 0;                                     ///< end when nothing has changed for so long; 0: go on
     std::function<void(const Reconstruction&)> on_result;  ///< after each reconstruct
+    /// The clock, for tests to simulate: seconds since whenever, and a pause.
+    std::function<double()> now_s = [] { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); };
+    std::function<void(double)> sleep_s = [](double seconds) { std::this_thread::sleep_for(std::chrono::duration<double>(seconds)); };
 };
 /// What watch has besides the options of reconstruct.
 template <OptionsOf<WatchOptions> O, class V>

@@ -1,0 +1,12 @@
+# Read by ctest. Every test has its subject's label and, but for those named here, the label `quick`: what tools/test.sh runs.
+# A test is left out where it takes long and a quick one sees the same code, less thoroughly; the reason stands beside it.
+set(long_tests
+)
+foreach(label align unit color stereo property options pipeline real gpu)
+  foreach(test IN LISTS vdbcarve_${label}_tests_TESTS)
+    list(FIND long_tests ${test} at)
+    if(at EQUAL -1)
+      set_tests_properties(${test} PROPERTIES LABELS "${label};quick")
+    endif()
+  endforeach()
+endforeach()
