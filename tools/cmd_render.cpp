@@ -26,11 +26,11 @@ Command add_render(CLI::App& program) {
                raw->request.mesh = CLI::detail::to_lower(text) == "mesh";
                if (!raw->request.mesh)
                    raw->request.options.style = one_of<RenderStyle>("--style", text,
-                                                                {{"surface", RenderStyle::Surface},
-                                                                 {"voxels", RenderStyle::Voxels},
-                                                                 {"xray", RenderStyle::XRay},
-                                                                 {"slices", RenderStyle::Slice},
-                                                                 {"mesh", RenderStyle::Surface}});
+                                                                    {{"surface", RenderStyle::Surface},
+                                                                     {"voxels", RenderStyle::Voxels},
+                                                                     {"xray", RenderStyle::XRay},
+                                                                     {"slices", RenderStyle::Slice},
+                                                                     {"mesh", RenderStyle::Surface}});
            },
            "surface (default: the level set under light), voxels (as cubes, nothing interpolated), xray (how thick), slices, mesh (of a result: its mesh)")
         ->type_name("WORD");

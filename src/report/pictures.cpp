@@ -46,14 +46,16 @@ class PictureRun {
   private:
     void check() {
         const std::string e = request_.output.extension().string();
-        if (e != ".png" && !is_film(request_.output)) throw UsageError(request_.output.string() + ": the extension says what to make: .png, or .mp4 or .webm (a film)");
+        if (e != ".png" && !is_film(request_.output))
+            throw UsageError(request_.output.string() + ": the extension says what to make: .png, or .mp4 or .webm (a film)");
         if (!fs::exists(request_.input)) throw InputError(request_.input.string() + ": no such file or folder");
         if (is_film(request_.output) && (request_.sheet > 0 || !request_.view.empty() || options_.style == RenderStyle::Slice))
             throw UsageError(request_.output.string() + ": a film is one turn around the object; a view, a sheet and slices are pictures. Remedy: -o FILE.png");
         if (request_.sheet > 0 && !request_.view.empty()) throw UsageError("--sheet and --view: give one of them");
         if (request_.frames < 2 || request_.frames > 100000 || !(request_.rate_hz > 0 && request_.rate_hz <= 240))
             throw UsageError("--frames must be 2..100000, --rate above 0 and at most 240");
-        if (is_film(request_.output) && !options_.background) throw UsageError(request_.output.string() + ": a film has no transparency. Remedy: another --background");
+        if (is_film(request_.output) && !options_.background)
+            throw UsageError(request_.output.string() + ": a film has no transparency. Remedy: another --background");
         if (is_film(request_.output) && (request_.orbit.width_px % 2 || request_.orbit.height_px % 2))
             throw UsageError(request_.output.string() + ": sides of a film must be even. Remedy: --size");
     }

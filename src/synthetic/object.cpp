@@ -59,8 +59,8 @@ Object::Object(const SyntheticSpec& spec) : spec_(spec) {
 Image8 Object::coverage(const Camera& camera, const Surface& surface) const {
     if (spec_.solids.empty()) return coverage_of(spec_.mesh, camera, 16);
     // Traced rays cost a hundred times a closed form; 8 x 8 of them still tell 1/64 of a pixel.
-    const bool closed_form = std::all_of(spec_.solids.begin(), spec_.solids.end(),
-                                         [](const Solid& s) { return s.kind == Solid::Kind::Ellipsoid || s.kind == Solid::Kind::Box; });
+    const bool closed_form =
+        std::all_of(spec_.solids.begin(), spec_.solids.end(), [](const Solid& s) { return s.kind == Solid::Kind::Ellipsoid || s.kind == Solid::Kind::Box; });
     const int samples = closed_form ? 16 : 8;
     const int width = camera.intrinsics.width_px, height = camera.intrinsics.height_px;
     const auto centre_hits = [&](int x, int y) {

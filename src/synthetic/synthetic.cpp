@@ -173,7 +173,8 @@ class Shoot {
         if (spec_.photos) {
             const Mat3d side_from_scene = in_second(i) ? Mat3d(scene_from_side_.rotation.transpose()) : Mat3d(Mat3d::Identity());
             const Room place = room_of(rig_, azimuths_[i], side_from_scene);
-            photo = photograph(*object_, camera, mask, &surface, spec_.look, place, Lamps::wandering(spec_.look.light_drift, i, where_.size(), scene_.exposures[i]));
+            photo = photograph(*object_, camera, mask, &surface, spec_.look, place,
+                               Lamps::wandering(spec_.look.light_drift, i, where_.size(), scene_.exposures[i]));
             if (spec_.look.plates) plate = photograph(*object_, camera, mask, nullptr, spec_.look, place, {});
         }
         if (margin > 0) {

@@ -60,8 +60,7 @@ inline constexpr bool is_optional<std::optional<T>> = true;
 /// Becomes anything that a member is made from; an optional, which could also be made from its value, only from the other.
 struct Anything {
     template <class T>
-        requires(!is_optional<T>)
-    operator T() const;
+    requires(!is_optional<T>) operator T() const;
 };
 struct AnOptional {
     template <class T>

@@ -3,10 +3,10 @@
 //
 //   vdbcarve_stereo_study SCENE N [--cpu] [--meshes PREFIX] [--synth name=value,…] [--pose-noise PX] [name=value,name=value …]
 //
-// SCENE is a packed scene with photographs (tests/device/pack_scene.cpp), which may hold truth.ply; or what `vdbcarve synth` takes, a built-in object or a closed
-// mesh, photographed here as --synth says (rings of 36 views of 1024 x 768 else), whose distances are in percent of its longest side. N is the voxels along the
-// longest side of its bounds. --pose-noise turns every camera about its centre, so that pictures move by that much (standard deviation, along either axis). A
-// row for the hull and one for each list of settings ("usual": none changed).
+// SCENE is a packed scene with photographs (tests/device/pack_scene.cpp), which may hold truth.ply; or what `vdbcarve synth` takes, a built-in object or a
+// closed mesh, photographed here as --synth says (rings of 36 views of 1024 x 768 else), whose distances are in percent of its longest side. N is the voxels
+// along the longest side of its bounds. --pose-noise turns every camera about its centre, so that pictures move by that much (standard deviation, along either
+// axis). A row for the hull and one for each list of settings ("usual": none changed).
 #include <openvdb/openvdb.h>
 
 #include <chrono>
