@@ -10,6 +10,7 @@
 namespace vdbcarve::cli {
 
 Command add_render(CLI::App& program) {
+    // Reads better whole: one option after the other, in the order in which --help lists them.
     struct Raw {
         PictureRequest request;
         std::string size;

@@ -109,6 +109,7 @@ SyntheticSpec spec_of(const Raw& raw) {
 }  // namespace
 
 Command add_synth(CLI::App& program) {
+    // Reads better whole: one option after the other, in the order in which --help lists them.
     auto raw = std::make_shared<Raw>();
     CLI::App* app = program.add_subcommand("synth", "make a synthetic shoot: photos, exact soft masks, cameras, truth");
     app->fallthrough();

@@ -153,6 +153,95 @@ bool wants_json(const std::vector<std::string>& words) {
     return false;
 }
 
+/// What is wrong with the words of the command line; nothing where they ask for --help or --version.
+int refuse_words(CLI::App& program, const std::vector<std::string>& words, const CLI::ParseError& e, bool json) {
+    // CLI11 would only say that a command is missing where an unknown one was given.
+    if (e.get_name() == "RequiredError" && !words.empty() && words[0][0] != '-' && program.get_subcommands().empty()) {
+        return refuse(json, ExitCode::Usage, "'" + words[0] + "' is no command. Run with --help for the list.");
+    }
+    if (e.get_exit_code() == static_cast<int>(CLI::ExitCodes::ExtrasError)) {
+        const CLI::App* command = program.get_subcommands().empty() ? &program : program.get_subcommands().front();
+        std::string unknown;
+        for (const std::string& word : program.remaining(true))
+            if (word[0] == '-') {
+                const std::string near = nearest_option(*command, word);
+                unknown += (unknown.empty() ? "" : "; ") + word + " is no option" + (command == &program ? "" : " of " + command->get_name()) +
+                           (near.empty() ? "" : ". Is " + near + " meant?");
+            }
+        if (!unknown.empty()) {
+            return refuse(json, ExitCode::Usage, unknown + (unknown.back() == '?' ? "" : ".") + " --help lists them");
+        }
+    }
+    if (e.get_exit_code() != 0) return refuse(json, ExitCode::Usage, e.what() + std::string(". --help lists what there is"));
+    program.exit(e, std::cout, std::cerr);
+    return 0;
+}
+
+/// The command that was given, with a progress of its own.
+int run_command(const std::vector<cli::Command>& commands, cli::Common& common) {
+    Progress progress;
+    // A command may run the program anew, with a progress of its own.
+    struct Watched {
+        Progress* before;
+        explicit Watched(Progress* now) : before(std::exchange(g_progress, now)) {}
+        Watched(const Watched&) = delete;
+        Watched& operator=(const Watched&) = delete;
+        ~Watched() { g_progress = before; }
+    } watched(&progress);
+    std::signal(SIGINT, on_signal);
+    std::signal(SIGTERM, on_signal);
+    Bar bar;
+    const auto say = [&](auto level, const std::string& text) {
+        if (bar.on_screen()) bar.clear();
+        spdlog::log(level, "{}", text);
+    };
+    const bool streams = common.json == "-" &&
+                         std::any_of(commands.begin(), commands.end(), [](const cli::Command& c) { return c.says == cli::Says::Events && c.app->parsed(); });
+    const auto event = [&](const nlohmann::ordered_json& what) {
+        if (streams) write_event(what);
+    };
+    progress.on_note = [&](const std::string& text) {
+        say(spdlog::level::info, text);
+        event({{"event", "note"}, {"text", text}});
+    };
+    progress.on_detail = [&](const std::string& text) { say(spdlog::level::debug, text); };
+    progress.on_warning = [&](const std::string& text) {
+        say(spdlog::level::warn, text);
+        event({{"event", "warning"}, {"text", text}});
+    };
+    const bool shown = isatty(STDERR_FILENO) && !common.quiet;
+    Pace pace;
+    if (shown || streams)
+        progress.on_progress = [&](const std::string& stage, double share) {
+            if (shown) bar.show(stage, share);
+            if (streams && pace.is_due(stage, share)) event({{"event", "progress"}, {"stage", stage}, {"share", share}});
+        };
+
+    std::optional<tbb::global_control> limit;
+    if (common.threads > 0) limit.emplace(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(common.threads));
+    const auto fail = [&](ExitCode code, const std::string& text) {
+        if (bar.on_screen()) bar.clear();
+        return refuse(common.json == "-" && !common.report_said, code, text);
+    };
+    try {
+        for (const cli::Command& c : commands)
+            if (c.app->parsed()) {
+                const int code = c.run(common, progress);
+                if (!common.report_said) event({{"event", "done"}, {"exit_code", code}});
+                return code;
+            }
+    } catch (const Error& e) {
+        return fail(e.code(), e.what());
+    } catch (const std::bad_alloc&) {
+        return fail(ExitCode::Input, "out of memory. Remedy: a lower --resolution");
+    } catch (const std::filesystem::filesystem_error& e) {
+        return fail(ExitCode::Output, e.what());
+    } catch (const std::exception& e) {
+        return fail(ExitCode::Input, std::string("unexpected: ") + e.what());
+    }
+    return 0;
+}
+
 }  // namespace
 
 int run_program(const std::vector<std::string>& words) {
@@ -227,91 +316,12 @@ int run_program(const std::vector<std::string>& words) {
     } catch (const Error& e) {                                                  // a value that an option's own reader refused
         return refuse(json, e.code(), e.what());
     } catch (const CLI::ParseError& e) {
-        // CLI11 would only say that a command is missing where an unknown one was given.
-        if (e.get_name() == "RequiredError" && !words.empty() && words[0][0] != '-' && program.get_subcommands().empty()) {
-            return refuse(json, ExitCode::Usage, "'" + words[0] + "' is no command. Run with --help for the list.");
-        }
-        if (e.get_exit_code() == static_cast<int>(CLI::ExitCodes::ExtrasError)) {
-            const CLI::App* command = program.get_subcommands().empty() ? &program : program.get_subcommands().front();
-            std::string unknown;
-            for (const std::string& word : program.remaining(true))
-                if (word[0] == '-') {
-                    const std::string near = nearest_option(*command, word);
-                    unknown += (unknown.empty() ? "" : "; ") + word + " is no option" + (command == &program ? "" : " of " + command->get_name()) +
-                               (near.empty() ? "" : ". Is " + near + " meant?");
-                }
-            if (!unknown.empty()) {
-                return refuse(json, ExitCode::Usage, unknown + (unknown.back() == '?' ? "" : ".") + " --help lists them");
-            }
-        }
-        if (e.get_exit_code() != 0) return refuse(json, ExitCode::Usage, e.what() + std::string(". --help lists what there is"));
-        program.exit(e, std::cout, std::cerr);
-        return 0;
+        return refuse_words(program, words, e, json);
     }
     if (common.quiet) spdlog::set_level(spdlog::level::warn);
     if (common.verbose) spdlog::set_level(spdlog::level::debug);
 
-    Progress progress;
-    // A command may run the program anew, with a progress of its own.
-    struct Watched {
-        Progress* before;
-        explicit Watched(Progress* now) : before(std::exchange(g_progress, now)) {}
-        Watched(const Watched&) = delete;
-        Watched& operator=(const Watched&) = delete;
-        ~Watched() { g_progress = before; }
-    } watched(&progress);
-    std::signal(SIGINT, on_signal);
-    std::signal(SIGTERM, on_signal);
-    Bar bar;
-    const auto say = [&](auto level, const std::string& text) {
-        if (bar.on_screen()) bar.clear();
-        spdlog::log(level, "{}", text);
-    };
-    const bool streams = common.json == "-" &&
-                         std::any_of(commands.begin(), commands.end(), [](const cli::Command& c) { return c.says == cli::Says::Events && c.app->parsed(); });
-    const auto event = [&](const nlohmann::ordered_json& what) {
-        if (streams) write_event(what);
-    };
-    progress.on_note = [&](const std::string& text) {
-        say(spdlog::level::info, text);
-        event({{"event", "note"}, {"text", text}});
-    };
-    progress.on_detail = [&](const std::string& text) { say(spdlog::level::debug, text); };
-    progress.on_warning = [&](const std::string& text) {
-        say(spdlog::level::warn, text);
-        event({{"event", "warning"}, {"text", text}});
-    };
-    const bool shown = isatty(STDERR_FILENO) && !common.quiet;
-    Pace pace;
-    if (shown || streams)
-        progress.on_progress = [&](const std::string& stage, double share) {
-            if (shown) bar.show(stage, share);
-            if (streams && pace.is_due(stage, share)) event({{"event", "progress"}, {"stage", stage}, {"share", share}});
-        };
-
-    std::optional<tbb::global_control> limit;
-    if (common.threads > 0) limit.emplace(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(common.threads));
-    const auto fail = [&](ExitCode code, const std::string& text) {
-        if (bar.on_screen()) bar.clear();
-        return refuse(common.json == "-" && !common.report_said, code, text);
-    };
-    try {
-        for (const cli::Command& c : commands)
-            if (c.app->parsed()) {
-                const int code = c.run(common, progress);
-                if (!common.report_said) event({{"event", "done"}, {"exit_code", code}});
-                return code;
-            }
-    } catch (const Error& e) {
-        return fail(e.code(), e.what());
-    } catch (const std::bad_alloc&) {
-        return fail(ExitCode::Input, "out of memory. Remedy: a lower --resolution");
-    } catch (const std::filesystem::filesystem_error& e) {
-        return fail(ExitCode::Output, e.what());
-    } catch (const std::exception& e) {
-        return fail(ExitCode::Input, std::string("unexpected: ") + e.what());
-    }
-    return 0;
+    return run_command(commands, common);
 }
 
 }  // namespace vdbcarve::cli
