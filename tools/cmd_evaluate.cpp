@@ -147,6 +147,7 @@ Command add_evaluate(CLI::App& program) {
             [raw](Common& common, Progress& progress) {
                 if (raw->truth.empty() && raw->photos.empty()) throw UsageError("evaluate: give --truth, --photos or both");
                 const fs::path result = fs::is_directory(raw->mesh) ? raw->mesh : fs::path();
+                require_finished(result);
                 const fs::path mesh_file = result.empty() ? raw->mesh : result / "mesh.ply";
                 // A result for another program lies in that one's axes and units: back to the scene's.
                 const FileFrame frame = frame_from_scene(mesh_file.parent_path(), mesh_file.filename().string());

@@ -194,6 +194,7 @@ Command add_export(CLI::App& program) {
     return {app, [raw](Common&, Progress& progress) {
                 if (raw->undistort && std::none_of(raw->out.begin(), raw->out.end(), [](const std::string& out) { return is_for_cameras(out); }))
                     throw UsageError("--undistort is of cameras: -o FOLDER or -o transforms.json");
+                require_finished(raw->in);
                 std::vector<fs::path> sources;
                 for (const std::string& out : raw->out) {
                     sources.push_back(is_for_cameras(out) ? fs::path(raw->in) : source_for(raw->in, out));

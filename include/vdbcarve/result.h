@@ -11,6 +11,12 @@
 
 namespace vdbcarve {
 
+/// A folder that a run of vdbcarve made, finished or not.
+bool made_by_us(const std::filesystem::path& output);
+
+/// Throws InputError where the folder is ours and holds no finished result: a run was stopped while it replaced files, or before it had made any.
+void require_finished(const std::filesystem::path& output);
+
 /// The cameras of a result with their photographs, from where its report says that they are, or from the folder `images`; a view whose photograph is not there
 /// any more has none. Throws InputError.
 Views result_views(const std::filesystem::path& output, const std::filesystem::path& images, Progress& progress);

@@ -9,6 +9,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "base/atomic_file.h"
 #include "image/codecs.h"
 #include "image/opencv_image.h"
 #include "vdbcarve/error.h"
@@ -133,6 +134,11 @@ std::vector<uint8_t> encode_png(ImageView<uint8_t> image) {
     std::vector<uint8_t> bytes;
     if (!cv::imencode(".png", m, bytes, {cv::IMWRITE_PNG_COMPRESSION, 3})) throw OutputError("a PNG could not be encoded");
     return bytes;
+}
+
+void write_png(const std::filesystem::path& file, ImageView<uint8_t> image) {
+    const std::vector<uint8_t> png = encode_png(image);
+    write_file(file, png.data(), png.size());
 }
 
 std::vector<uint8_t> encode_tiff(const ImageF& image) {

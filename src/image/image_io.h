@@ -38,6 +38,9 @@ std::pair<int, int> stored_size(const std::filesystem::path& file);
 /// PNG bytes of a grey, RGB or RGBA picture. Deterministic.
 std::vector<uint8_t> encode_png(ImageView<uint8_t> image);
 
+/// The same as a file, which appears by rename. Throws OutputError.
+void write_png(const std::filesystem::path& file, ImageView<uint8_t> image);
+
 /// TIFF bytes, 32-bit floats.
 std::vector<uint8_t> encode_tiff(const ImageF& image);
 

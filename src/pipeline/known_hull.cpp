@@ -2,13 +2,10 @@
 #include "pipeline/known_hull.h"
 
 #include <algorithm>
-#include <fstream>
 #include <map>
-#include <nlohmann/json.hpp>
 
 namespace vdbcarve {
 
-namespace fs = std::filesystem;
 using nlohmann::json;
 
 namespace {
@@ -30,25 +27,21 @@ std::vector<size_t> places_of(const std::vector<std::string>& of_hull, const std
 
 }  // namespace
 
-std::optional<KnownHull> find_known_hull(const fs::path& stages, const std::string& base, const std::vector<std::string>& views) {
-    std::vector<fs::path> notes;
-    std::error_code not_there;
-    for (const auto& entry : fs::directory_iterator(stages, not_there))
-        if (entry.path().extension() == ".json" && entry.path().filename().string().rfind("hull-", 0) == 0) notes.push_back(entry.path());
-    std::sort(notes.begin(), notes.end());
-    std::optional<KnownHull> best;
-    for (const fs::path& file : notes) {
+std::optional<KnownHull> find_known_hull(const Store& store, const std::string& base, const std::vector<std::string>& views) {
+    std::vector<KnownHull> known;
+    for (const Slot& slot : store.all("carve")) {
         try {
-            std::ifstream in(file);
-            const json note = json::parse(in);
-            if (note.at("base") != base) continue;
-            KnownHull hull{fs::path(file).replace_extension(".vdb"), places_of(note.at("views").get<std::vector<std::string>>(), views)};
-            if (!hull.views.empty() && (!best || hull.views.size() > best->views.size()) && fs::exists(hull.file)) best = std::move(hull);
+            if (slot.note.at("base") != base || !slot.note.at("bricks").empty()) continue;
+            KnownHull hull{slot, slot.file("hull.vdb"), places_of(slot.note.at("views").get<std::vector<std::string>>(), views)};
+            if (!hull.views.empty()) known.push_back(std::move(hull));
         } catch (const json::exception&) {
-            continue;  // of an older version, or damaged
+            continue;  // of an older version
         }
     }
-    return best;
+    std::stable_sort(known.begin(), known.end(), [](const KnownHull& a, const KnownHull& b) { return a.views.size() > b.views.size(); });
+    for (KnownHull& hull : known)
+        if (store.is_whole(hull.slot)) return std::move(hull);
+    return std::nullopt;
 }
 
 }  // namespace vdbcarve

@@ -64,6 +64,7 @@ class PictureRun {
         fs::path source = request_.input;
         const bool result = fs::is_directory(source);
         if (result) {
+            require_finished(source);
             std::vector<const char*> names{"volume.vdb", "hull.vdb"};
             if (request_.mesh) names = {"mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"};
             const auto found = std::find_if(names.begin(), names.end(), [&](const char* n) { return fs::exists(request_.input / n); });

@@ -5,6 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "vdbcarve/result.h"
 #include "vdbcarve/volume.h"
 #include "vdbcarve/triangle_mesh.h"
 #include "vdbcarve/views.h"
@@ -101,6 +102,7 @@ std::string info_json(const fs::path& file, Progress& progress) {
     out["path"] = file.string();
     const std::string ext = file.extension().string();
     if (fs::is_directory(file)) {
+        require_finished(file);
         for (const char* name : {"volume", "hull"})
             if (fs::exists(file / (std::string(name) + ".vdb"))) out[name] = vdb_info(file / (std::string(name) + ".vdb"));
         if (fs::exists(file / "mesh.ply")) out["mesh"] = mesh_info(file / "mesh.ply");

@@ -43,6 +43,15 @@ Views views_of(const fs::path& output, const json& said, const fs::path& camera_
 
 }  // namespace
 
+bool made_by_us(const fs::path& output) { return fs::exists(output / kMarker); }
+
+void require_finished(const fs::path& output) {
+    if (!fs::is_directory(output) || !made_by_us(output) || fs::exists(output / "report.json")) return;
+    throw InputError(
+        output.string() +
+        ": holds no finished result: the run that worked in it was stopped, or is not done. Remedy: the same command with the same -o goes on from there");
+}
+
 Views result_views(const fs::path& output, const fs::path& images, Progress& progress) {
     return views_of(output, parse_or_empty(output / "report.json"), output / "cameras.json", images, progress);
 }

@@ -15,7 +15,8 @@ inline constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
 inline nlohmann::json parse_or_empty(const std::filesystem::path& file) {
     try {
         std::ifstream in(file);
-        return in ? nlohmann::json::parse(in) : nlohmann::json::object();
+        nlohmann::json out = in ? nlohmann::json::parse(in) : nlohmann::json::object();
+        return out.is_object() ? out : nlohmann::json::object();
     } catch (const nlohmann::json::exception&) {
         return nlohmann::json::object();  // a note of ours that was damaged is as good as none
     }

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stage `stereo`: what silhouettes cannot see, from the photographs' depths.
+#pragma once
+
+#include "pipeline/run.h"
+#include "pipeline/values.h"
+
+namespace vdbcarve {
+
+struct Stereo {
+    static constexpr const char* kName = "stereo";
+    using Result = Surface;
+
+    const ReconstructOptions& options;
+    const Shoot& shoot;
+    const Silhouettes& masks;
+    const GridFacts& grid;
+    Surface surface;
+
+    void prepare(Run& run);
+    bool idle() const { return flat_; }
+    Surface passed() { return std::move(surface); }
+    Key key() const;
+    Surface run(Run& run);
+    void save(Slot& slot, Surface& made) const;
+    Surface load(const Slot& slot) const;
+    void report(const Surface& made, nlohmann::json& report) const {
+        if (!made.stereo.is_null()) report["stereo"] = made.stereo;
+    }
+
+    // What prepare() and run() leave for save(), load() and report(). Public, so that a stage is an aggregate.
+    StereoOptions stereo_{};
+    bool flat_ = false;
+    StereoResult result_{};
+    openvdb::FloatGrid::Ptr hull_{};
+
+  private:
+    /// Photographs and depths of all views are in memory at once. Throws InputError with the scale that fits.
+    void check_memory(Run& run) const;
+    std::vector<std::string> map_names() const;
+    nlohmann::json summary(const StereoResult& result, const std::vector<ColorInput>& inputs, Progress& progress) const;
+};
+
+}  // namespace vdbcarve
