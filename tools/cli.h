@@ -5,12 +5,12 @@
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <filesystem>
+#include <memory>
 
+#include "vdbcarve/config.h"
 #include "vdbcarve/error.h"
-#include "vdbcarve/export.h"
-#include "vdbcarve/mask.h"
+#include "vdbcarve/option_text.h"
 #include "vdbcarve/progress.h"
-#include "vdbcarve/views.h"
 
 namespace vdbcarve::cli {
 
@@ -24,9 +24,8 @@ struct Common {
 
 /// What a command puts on stdout with --json.
 enum class Says {
-    Events,    ///< how far it is, one event a line; the last is the report, or "done"
-    Document,  ///< one, which the command writes
-    Nothing    ///< another run of the program, which it starts, says it
+    Events,   ///< how far it is, one event a line; the last is the report, or "done"
+    Document  ///< one, which the command writes
 };
 
 /// A command adds itself to the program; `run` is called after parsing and returns the exit code.
@@ -52,7 +51,7 @@ Command add_export(CLI::App& program);
 Command add_render(CLI::App& program);
 Command add_report(CLI::App& program);
 Command add_bundle(CLI::App& program);
-/// `name` is a stage of reconstruct that is to be done anew, with other options.
+/// `name` is a stage of reconstruct that is to be run again with other options.
 Command add_again(CLI::App& program, const char* name, const char* what, const char* example);
 
 /// A page about the program and one about each command: NAME.md, vdbcarve-NAME.1 (man). Throws OutputError.
@@ -64,14 +63,21 @@ int run_program(const std::vector<std::string>& words);
 /// Where a scene's photographs, cameras and masks are: --images, --cameras, --masks, --mask …
 void add_scene_options(CLI::App& command, ViewsOptions& views, MaskOptions& mask);
 
-/// --dcc.
-void add_dcc_option(CLI::App& command, Dcc& dcc);
+/// Every option of the list that the command offers, under its heading. `set` is called with what was given, in the order of the list; without it the options
+/// are set themselves. `hidden`: --help does not show them.
+using OptionSetter = std::function<void(const OptionEntry&, const std::vector<std::string>&)>;
+void add_options(CLI::App& app, const std::vector<OptionEntry>& entries, unsigned command, bool hidden = false, const OptionSetter& set = {});
 
-/// "a,b,c" as numbers. Throws UsageError naming the option.
-std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator = ',');
+/// What an option of reconstruct does, for commands that have it too.
+std::string help_of(const std::string& name);
 
-/// "R,G,B" (0..255) or "#rrggbb". Throws UsageError naming the option, and the words that it takes besides.
-std::array<uint8_t, 3> rgb8_of(const std::string& option, const std::string& text, const std::string& words = "");
+/// Configuration files in the program's own form of TOML.
+std::shared_ptr<CLI::Config> config_reader(const CLI::App& program);
+
+/// A stage of reconstruct has ended: for the log and, where it is asked for, as JSON.
+void say_stage(const std::string& event, bool json);
+/// The last words of a reconstruct.
+void say_result(const Reconstruction& result, const ReconstructOptions& options, Common& common);
 
 /// For options that are lengths. (CLI11's own names the largest number there is.)
 inline CLI::Validator above_zero() {
@@ -96,21 +102,18 @@ inline constexpr const char* kExitCodes = "0 done, 2 usage, 3 input, 4 data cont
 
 /// One of a few words, in whatever case. Throws UsageError naming all of them.
 template <class T>
-T one_of(const std::string& option, const std::string& text, const std::vector<std::pair<std::string, T>>& choices) {
-    std::string all;
-    for (const auto& [word, value] : choices) {
-        if (CLI::detail::to_lower(text) == word) return value;
-        all += (all.empty() ? "" : ", ") + word;
-    }
-    throw UsageError(option + " " + text + ": is none of " + all);
+T one_of(const std::string& option, const std::string& text, const Words<T>& words) {
+    for (const Word<T>& w : words.all)
+        if (CLI::detail::to_lower(text) == w.text) return w.value;
+    throw UsageError(option + " " + text + ": must be one of " + words.list());
 }
 
 /// An option that takes one of them.
 template <class T>
-CLI::Option* add_choice(CLI::App& app, const std::string& option, T& target, const std::vector<std::pair<std::string, T>>& choices, const std::string& what) {
+CLI::Option* add_choice(CLI::App& app, const std::string& option, T& target, const Words<T>& words, const std::string& what) {
     return app
         .add_option_function<std::string>(
-            option, [&target, option, choices](const std::string& text) { target = one_of(option, text, choices); }, what)
+            option, [&target, option, words](const std::string& text) { target = one_of(option, text, words); }, what)
         ->type_name("WORD");
 }
 

@@ -53,8 +53,7 @@ Command add_bench(CLI::App& program) {
     app->add_flag("--carve-only", raw->carve_only, "leave level_set and mesh out");
     app->add_flag("--no-cpu", raw->no_cpu, "time the GPU only");
     raw->options.backend = Backend::Auto;
-    add_choice<Backend>(*app, "--backend", raw->options.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}},
-                        "auto (also the GPU where there is one), cpu or cuda");
+    add_choice(*app, "--backend", raw->options.backend, Words(kBackendWords), "auto (also the GPU where there is one), cpu or cuda");
     app->add_option("--device", raw->options.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more());
     app->add_option("--svg", raw->svg, "also pictures: FILE.svg, seconds over voxels, and FILE_views.svg, over views");
     return {app,

@@ -182,7 +182,7 @@ Command add_export(CLI::App& program) {
     app->add_option("--up", raw->frame.up, "the input's up axis (default: what a result's report or a volume's metadata say; y of .obj and .glb)")
         ->check(CLI::IsMember({"x", "y", "z", "-x", "-y", "-z"}));
     app->add_option("--units", raw->frame.units, "the input's unit of length: m, cm, mm, inch … (default: likewise)");
-    add_dcc_option(*app, raw->frame.dcc);
+    add_choice(*app, "--dcc", raw->frame.dcc, Words(kDccWords), help_of("dcc"))->group("Result");
     app->add_flag("--stl-mm", raw->frame.stl_mm, ".stl in millimetres, for printers");
     app->add_flag("--vdb-half", raw->half, "16-bit floats in .vdb: two thirds of the size, three digits");
     app->footer(

@@ -9,6 +9,12 @@
 
 namespace vdbcarve::cli {
 
+constexpr Word<RenderStyle> kStyleWords[] = {{"surface", RenderStyle::Surface},
+                                             {"voxels", RenderStyle::Voxels},
+                                             {"xray", RenderStyle::XRay},
+                                             {"slices", RenderStyle::Slice},
+                                             {"mesh", RenderStyle::Surface}};
+
 Command add_render(CLI::App& program) {
     // Reads better whole: one option after the other, in the order in which --help lists them.
     struct Raw {
@@ -25,13 +31,7 @@ Command add_render(CLI::App& program) {
            "--style",
            [raw](const std::string& text) {
                raw->request.mesh = CLI::detail::to_lower(text) == "mesh";
-               if (!raw->request.mesh)
-                   raw->request.options.style = one_of<RenderStyle>("--style", text,
-                                                                    {{"surface", RenderStyle::Surface},
-                                                                     {"voxels", RenderStyle::Voxels},
-                                                                     {"xray", RenderStyle::XRay},
-                                                                     {"slices", RenderStyle::Slice},
-                                                                     {"mesh", RenderStyle::Surface}});
+               if (!raw->request.mesh) raw->request.options.style = one_of("--style", text, Words(kStyleWords));
            },
            "surface (default: the level set under light), voxels (as cubes, nothing interpolated), xray (how thick), slices, mesh (of a result: its mesh)")
         ->type_name("WORD");
@@ -70,9 +70,7 @@ Command add_render(CLI::App& program) {
     app->add_option("--iso", o.options.iso, "the surface this far outside (inside where negative), scene units, within the band")
         ->capture_default_str()
         ->group(how);
-    add_choice<Backend>(*app, "--backend", o.backend, {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}},
-                        "auto (a GPU where there is one), cpu or cuda; the picture is the same")
-        ->group(how);
+    add_choice(*app, "--backend", o.backend, Words(kBackendWords), "auto (a GPU where there is one), cpu or cuda; the picture is the same")->group(how);
     app->add_option("--device", o.device, "number of the CUDA device")->capture_default_str()->check(zero_or_more())->group(how);
     const char* several = "Several";
     app->add_option("--sheet", o.sheet, "so many input views beside their photographs, on one sheet")->check(CLI::Range(1, 1000))->group(several);

@@ -79,40 +79,6 @@ class Pace {
 
 namespace vdbcarve::cli {
 
-std::vector<double> numbers(const std::string& option, const std::string& text, size_t count, char separator) {
-    std::vector<double> out;
-    std::istringstream in(text);
-    for (std::string word; std::getline(in, word, separator);) {
-        try {
-            size_t used = 0;
-            out.push_back(std::stod(word, &used));
-            if (used != word.size() || !std::isfinite(out.back())) throw std::invalid_argument(word);
-        } catch (const std::exception&) {
-            throw UsageError(option + " " + text + ": '" + word + "' is not a finite number");
-        }
-    }
-    if (out.size() != count) throw UsageError(option + " " + text + ": " + std::to_string(count) + " numbers are expected, separated by '" + separator + "'");
-    return out;
-}
-
-std::array<uint8_t, 3> rgb8_of(const std::string& option, const std::string& text, const std::string& words) {
-    const auto refuse = [&] {
-        return UsageError(option + " " + text + ": must be " + (words.empty() ? "" : words + ", ") + "R,G,B within 0..255, or #rrggbb, like #00b140");
-    };
-    std::array<uint8_t, 3> out{};
-    if (text.size() == 7 && text[0] == '#' && text.find_first_not_of("0123456789abcdefABCDEF", 1) == std::string::npos) {
-        for (size_t k = 0; k < 3; ++k) out[k] = static_cast<uint8_t>(std::stoi(text.substr(1 + 2 * k, 2), nullptr, 16));
-        return out;
-    }
-    if (std::count(text.begin(), text.end(), ',') != 2) throw refuse();
-    const std::vector<double> c = numbers(option, text, 3);
-    for (size_t k = 0; k < 3; ++k) {
-        if (!(c[k] >= 0 && c[k] <= 255)) throw refuse();
-        out[k] = static_cast<uint8_t>(std::lround(c[k]));
-    }
-    return out;
-}
-
 namespace {
 
 /// Insertions, deletions and replacements that make one word the other (Levenshtein's distance).
@@ -255,6 +221,7 @@ int run_program(const std::vector<std::string>& words) {
     program.add_option("--threads", common.threads, "threads to use (0: all)")->check(cli::zero_or_more());
     program.add_option("--json", common.json, "'-': JSON on stdout, one event a line, the report last")->check(CLI::IsMember({"-"}));
     program.set_config("--config", "", "read options from a TOML file (a result's config.toml repeats its run)");
+    program.config_formatter(cli::config_reader(program));
 
     std::vector<cli::Command> commands{
         cli::add_reconstruct(program),

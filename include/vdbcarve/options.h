@@ -61,7 +61,7 @@ inline constexpr Word<bool> kOutsideWords[] = {{"unknown", false}, {"background"
 inline constexpr Word<double> kFieldScaleWords[] = {{"auto", 0}};
 template <OptionsOf<CarveSettings> O, class V>
 void visit(O& o, V& v) {
-    v(Option{"max-misses", "how many views may show background where a voxel stays", "Carving", in::kCarving}, o.max_misses, within(0, 15));
+    v(Option{"max-misses", "a voxel stays although this many views show background there", "Carving", in::kCarving}, o.max_misses, within(0, 15));
     v(Option{"min-seen", "share of the views that must have a point in frame", "Carving", in::kCarving}, o.min_seen, within(0, 1));
     v(Option{"outside", "what lies outside an image: unknown (default) or background (the paper)", "Carving", in::kCarving}, o.outside_is_background,
       Words(kOutsideWords));
@@ -242,7 +242,6 @@ struct RunOptions {
     LastStage last_stage = LastStage::Export;
     bool force = false;                                     ///< write into a folder that vdbcarve did not make
     bool dry_run = false;                                   ///< plan only
-    std::string config_text;                                ///< effective configuration, written as config.toml
     std::function<void(const std::string& json)> on_stage;  ///< one JSON object when a stage ends
 };
 inline constexpr Word<Backend> kBackendWords[] = {{"auto", Backend::Auto}, {"cpu", Backend::Cpu}, {"cuda", Backend::Cuda}};
@@ -256,7 +255,7 @@ void visit(O& o, V& v) {
                  o.memory_limit, BytesForm{});
     v.not_in_key(Option{"dry-run", "plan only: views, bounds, grid, memory", "Options", in::kCarving & ~in::kWatch}, o.dry_run, Flag{});
     v.not_in_key(Option{"force", "write into a folder that vdbcarve did not make"}, o.force, Flag{});
-    v.ignore(o.last_stage, o.config_text, o.on_stage);
+    v.ignore(o.last_stage, o.on_stage);
 }
 
 }  // namespace vdbcarve

@@ -82,8 +82,8 @@ void visit(O& o, V& v) {
 
 template <OptionsOf<ChromaOptions> O, class V>
 void visit(O& o, V& v) {
-    v(Option{"chroma-key", "R,G,B (0..255) or #rrggbb of the cloth (default: the main color of the photographs' borders)", "Masks", in::kScenes}, o.key_rgb,
-      RgbForm{});
+    v(Option{"chroma-key", "R,G,B (0..255) or #rrggbb of the cloth (default: the most frequent colour along the photographs' borders)", "Masks", in::kScenes},
+      o.key_rgb, RgbForm{});
     v(Option{"chroma-level", "object where less than this share of the key is (default: found, 0.3..0.7)", "Masks", in::kScenes}, o.level,
       within(0.01, 0.99).or_unset(0));
 }

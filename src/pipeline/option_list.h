@@ -60,8 +60,8 @@ class OptionLister : public Visitor<OptionLister> {
             if constexpr (requires { Form::fault(name, members...); }) return Form::fault(name, members...);
             else return std::string();
         };
-        e.says_default = !e.values().empty();
         name_value(e);
+        e.says_default = e.value_name != "WORD" && !e.values().empty();
     }
     template <class Form, class... T>
     void alias(const Option& option, const Form& form, T&... members) {

@@ -3,7 +3,7 @@
 source "${0%/*}/common.sh"
 use scene out
 
-expect 2 '--mesher voxels: is none of dual, marching-cubes' reconstruct scene --mesher voxels -o elsewhere
+expect 2 '--mesher voxels: must be one of dual, marching-cubes' reconstruct scene --mesher voxels -o elsewhere
 expect 0 'elevations' check scene
 expect 0 '"median_iou"' check scene --json -
 expect 0 '"findings"' check scene --only images --json -
@@ -25,7 +25,7 @@ expect 2 'where the cameras look' reconstruct scene -o bad --resolution 20 --bou
 expect 3 'no such folder' reconstruct nowhere -o bad
 expect 2 'Is --resolution meant' reconstruct scene -o bad --resolutoin 64
 expect 2 'only one can count' reconstruct scene -o bad --mask threshold --clean-plate scene/images/0000.png
-expect 2 'are of films' reconstruct scene -o bad --video-frames 30
+expect 2 'are of videos' reconstruct scene -o bad --video-frames 30
 expect 2 'R,G,B within' mask scene -o bad --mask chroma --chroma-key green
 expect 3 'no such folder or film' reconstruct film.mp4 -o bad
 expect 2 "'blur' is no filter" reconstruct scene -o bad --filter blur
@@ -33,7 +33,7 @@ expect 2 '1..2 voxels' reconstruct scene -o bad --filter median:7
 expect 2 'keep-thin' reconstruct scene -o bad --resolution 40 --keep-thin -1
 expect 2 'smooth-mu' reconstruct scene -o bad --resolution 40 --smooth 3 --smooth-mu -0.1
 expect 2 '--units' reconstruct scene -o bad --resolution 40 --stl-mm
-expect 2 'none of ply' reconstruct scene -o bad --resolution 40 --mesh-formats fbx
+expect 2 'must be one of ply' reconstruct scene -o bad --resolution 40 --mesh-formats fbx
 mkdir foreign && touch foreign/file
 expect 6 'not made by vdbcarve' reconstruct scene -o foreign
 expect 6 'cannot be made|is a file' reconstruct scene -o foreign/file/out

@@ -131,7 +131,6 @@ TEST(Pipeline, AddingNothingRedoesNothing) {
             a.options.grid.resolution = 0;
             a.options.grid.dims = {56, 48, 40};
         }
-        a.options.run.config_text = "reconstruct.scene=\"x\"\nreconstruct.resolution=56\n";
         const json first = a.run(a.options);
         ReconstructOptions o = a.options;
         o.views.added = {a.options.views.scene};
