@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <spdlog/spdlog.h>
 
+#include <filesystem>
 #include <iostream>
 #include <memory>
 
 #include "cli.h"
 #include "vdbcarve/check.h"
+#include "vdbcarve/error.h"
 
 namespace vdbcarve::cli {
 
@@ -45,6 +47,10 @@ Command add_check(CLI::App& program) {
                 if (!raw->write_cameras.empty()) {
                     if (!result.better) spdlog::warn("{} is not written: no other reading of the poses fits better", raw->write_cameras);
                     else {
+                        std::error_code not_there;
+                        if (std::filesystem::equivalent(raw->write_cameras, result.better->camera_file, not_there))
+                            throw OutputError(raw->write_cameras +
+                                              ": is the camera file that was checked, and would be replaced. Remedy: --write-cameras with another name");
                         write_cameras(*result.better, raw->write_cameras);
                         spdlog::info("{} holds the cameras in the reading that fits; --cameras {} goes on with them", raw->write_cameras, raw->write_cameras);
                     }

@@ -82,6 +82,9 @@ void check_target(const fs::path& from, const fs::path& to) {
         if (!fs::exists(from)) throw InputError(from.string() + ": no such file or folder");
         if (extension.empty() && fs::is_directory(to) && !fs::is_empty(to) && !fs::is_directory(to / "sparse"))
             throw OutputError(to.string() + ": is not empty. Remedy: another -o");
+        std::error_code not_there;
+        for (const fs::path& input : {from, from / "report.json", from / "cameras.json"})
+            if (fs::equivalent(input, to, not_there)) throw OutputError(to.string() + ": is an input file of this command. Remedy: another -o");
         return;
     }
     if (extension != ".vdb" && extension != ".nvdb" && extension != ".ply" && extension != ".obj" && extension != ".stl" && extension != ".glb")

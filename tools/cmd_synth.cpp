@@ -183,6 +183,11 @@ Command add_synth(CLI::App& program) {
         "  vdbcarve synth statue.ply --rig dome --views 72 -o shoot                 a mesh of your own\n"
         "  vdbcarve synth cup --masks-only --mask-holes 2 --mask-share 0.1 -o shoot   masks with mistakes");
     return {app, [raw](Common&, Progress& progress) {
+                // --force replaces an earlier shoot, not the mesh or texture that this one is made from.
+                const std::filesystem::path folder = std::filesystem::weakly_canonical(raw->output) / "";
+                for (const std::string& input : {raw->object, raw->texture})
+                    if (std::filesystem::is_regular_file(input) && std::filesystem::canonical(input).string().rfind(folder.string(), 0) == 0)
+                        throw OutputError(raw->output + ": holds " + input + ", which the shoot is made from. Remedy: another -o");
                 const SyntheticSpec spec = spec_of(*raw);
                 if (!raw->force && std::filesystem::is_directory(raw->output) && !std::filesystem::is_empty(raw->output))
                     throw OutputError(raw->output + ": is not empty. Remedy: another -o, or --force");

@@ -4,12 +4,27 @@
 
 #include <filesystem>
 #include <fstream>
+#include <ostream>
 #include <string>
 
 namespace vdbcarve {
 
+/// A file's buffer that remembers why the first write failed; a stream only says that one did.
+class WriteBuffer : public std::filebuf {
+  public:
+    int error() const { return error_; }  ///< an errno; 0: none is known
+
+  protected:
+    int_type overflow(int_type c) override;
+    std::streamsize xsputn(const char* text, std::streamsize count) override;
+    int sync() override;
+
+  private:
+    int error_ = 0;
+};
+
 /// Writes to a temporary name in the same folder; commit() renames it into place, and without that the
-/// destructor removes it. Throws OutputError naming the file.
+/// destructor removes it. Throws OutputError naming the file and what the system said.
 class AtomicFile {
   public:
     explicit AtomicFile(std::filesystem::path file);
@@ -21,12 +36,13 @@ class AtomicFile {
     const std::filesystem::path& temporary() const { return temporary_; }
     /// Closes the stream and checks that everything reached the file.
     void close();
-    /// Closes the stream if it is open, checks it, and renames.
+    /// Closes the stream if it is open, checks it, waits until the disk has the file's content, and renames.
     void commit();
 
   private:
     std::filesystem::path file_, temporary_;
-    std::ofstream out_;
+    WriteBuffer buffer_;
+    std::ostream out_{&buffer_};
     bool done_ = false;
 };
 

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "base/atomic_file.h"
+#include "base/output_names.h"
 #include "color/color_plan.h"
 #include "image/image_io.h"
+#include "views/formats/camera_formats.h"
 #include "vdbcarve/color.h"
+#include "vdbcarve/error.h"
 #include "vdbcarve/evaluate.h"
 #include "vdbcarve/volume.h"
 
@@ -33,6 +37,46 @@ std::set<std::string> left_out_of(const fs::path& result, Progress& progress) {
     if (any && !colored) {
         progress.warn((result / "report.json").string() + ": says nothing about colour; all views count as used for it");
         out.clear();
+    }
+    return out;
+}
+
+/// Throws OutputError where pictures would be saved among those that are read.
+void refuse_to_save_among_inputs(const fs::path& folder, const Views& views, const fs::path& result) {
+    std::set<fs::path> read;
+    for (const View& v : views.views) {
+        if (!v.image_path.empty()) read.insert(v.image_path.parent_path());
+        if (!v.mask_path.empty()) read.insert(v.mask_path.parent_path());
+    }
+    const fs::path cameras = fs::is_directory(views.camera_file) ? views.camera_file : views.camera_file.parent_path();
+    for (const char* part : {"", "images", "masks", "ignore"}) read.insert(cameras / part);
+    if (!result.empty()) read.insert({result, result / "masks"});
+    for (const fs::path& input : read)
+        if (is_same_place(folder, input))
+            throw OutputError(folder.string() + ": photographs, masks or cameras lie in this folder, and could be replaced. Remedy: another one");
+}
+
+/// Files of the result's masks, by view of a scene; empty where there is none. The result may be of more views, or of fewer: names are as its own views have
+/// them.
+std::vector<fs::path> masks_of(const fs::path& result, const Views& views) {
+    std::vector<fs::path> out(views.views.size());
+    std::map<std::string, std::string> files;
+    Views made;
+    try {
+        for (const io::ImportedView& v : io::read_transforms(result / "cameras.json").views) made.views.push_back(v.view);
+    } catch (const InputError&) {  // without cameras
+        made = views;
+    }
+    const std::vector<std::string> names = mask_names(made);
+    for (size_t i = 0; i < names.size(); ++i) files[made.views[i].name] = names[i];
+    // cameras.json has base names where they tell the result's views apart; here they have to do so, too.
+    std::map<std::string, int> base_names;
+    const auto base = [&](size_t i) { return fs::path(views.views[i].name).filename().string(); };
+    for (size_t i = 0; i < out.size(); ++i) ++base_names[base(i)];
+    for (size_t i = 0; i < out.size(); ++i) {
+        auto found = files.find(views.views[i].name);
+        if (found == files.end() && base_names[base(i)] == 1) found = files.find(base(i));
+        if (found != files.end() && fs::exists(result / "masks" / found->second)) out[i] = result / "masks" / found->second;
     }
     return out;
 }
@@ -68,9 +112,13 @@ std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views
             return std::array<float, 3>{c.r, c.g, c.b};
         };
     const std::set<std::string> left_out = options.result.empty() ? std::set<std::string>() : left_out_of(options.result, progress);
-    const std::vector<std::string> masks = mask_names(views);
+    const std::vector<std::string> pictures = mask_names(views);
+    const std::vector<fs::path> masks = options.result.empty() ? std::vector<fs::path>(views.views.size()) : masks_of(options.result, views);
     const std::vector<Camera> cameras = views.cameras();
-    if (!options.save.empty()) make_folder(options.save);
+    if (!options.save.empty()) {
+        refuse_to_save_among_inputs(options.save, views, options.result);
+        make_folder(options.save);
+    }
     std::vector<PhotoComparison> out(views.views.size());
     progress.begin("evaluate", out.size());
     for (size_t i = 0; i < out.size(); ++i) {
@@ -81,7 +129,7 @@ std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views
         if (view.image_path.empty()) continue;
         const Photo photo = load_photo(view);
         Mask mask;
-        if (const fs::path file = options.result / "masks" / masks[i]; !options.result.empty() && fs::exists(file)) mask.coverage = io::read_image8(file);
+        if (!masks[i].empty()) mask.coverage = io::read_image8(masks[i]);
         const Image8 rendered = render_colors(mesh, cameras[i], color_at);
         if (!mask.coverage.empty() && (mask.coverage.width != rendered.width || mask.coverage.height != rendered.height)) {
             progress.warn("view " + view.name + ": the result's mask has another size than the camera and is not used");
@@ -90,7 +138,7 @@ std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views
         out[i].agreement = compare_photo(rendered, view_of(photo), view_of(mask));
         if (options.save.empty()) continue;
         const auto png = io::encode_png(side_by_side(rendered, view_of(photo)));
-        write_file(options.save / masks[i], png.data(), png.size());
+        write_file(options.save / pictures[i], png.data(), png.size());
     }
     return out;
 }

@@ -9,6 +9,7 @@ namespace vdbcarve {
 namespace {
 
 constexpr uint64_t kMagic = 0x31766d6376726462;  // ours, version 1
+constexpr uint64_t kItemBytes = 12;              // three floats or numbers: a vertex, triangle, normal or colour
 
 struct Header {
     uint64_t magic, vertices, triangles, normals, colors, quads;
@@ -36,7 +37,13 @@ std::optional<Mesh> stored_mesh(const std::filesystem::path& file) {
     std::ifstream in(file, std::ios::binary);
     Header h{};
     if (error || !in.read(reinterpret_cast<char*>(&h), sizeof h) || h.magic != kMagic) return std::nullopt;
-    if (std::max(h.vertices, h.triangles) > size || size != sizeof h + 12 * (h.vertices + h.triangles + h.normals + h.colors)) return std::nullopt;
+    // Each count by itself first: their sum, times 12, may wrap.
+    for (const uint64_t count : {h.vertices, h.triangles, h.normals, h.colors})
+        if (count > size / kItemBytes) return std::nullopt;
+    if (size != sizeof h + kItemBytes * (h.vertices + h.triangles + h.normals + h.colors)) return std::nullopt;
+    for (const uint64_t count : {h.normals, h.colors})
+        if (count != 0 && count != h.vertices) return std::nullopt;
+    if (h.quads > h.triangles / 2) return std::nullopt;
     Mesh mesh;
     const auto get = [&](auto& values, uint64_t count) {
         values.resize(count);
@@ -48,6 +55,9 @@ std::optional<Mesh> stored_mesh(const std::filesystem::path& file) {
     get(mesh.colors, h.colors);
     mesh.quads = h.quads;
     if (!in) return std::nullopt;
+    for (const auto& triangle : mesh.triangles)
+        for (const uint32_t vertex : triangle)
+            if (vertex >= mesh.vertices.size()) return std::nullopt;
     return mesh;
 }
 

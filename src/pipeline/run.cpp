@@ -6,6 +6,7 @@
 #include "result/result_json.h"
 #include "base/atomic_file.h"
 #include "base/memory.h"
+#include "pipeline/output_check.h"
 #include "vdbcarve/config.h"
 #include "vdbcarve/version.h"
 
@@ -26,6 +27,7 @@ void Run::open(const fs::path& folder) {
     fresh_output_ = !made_by_us(output);
     if (fs::is_directory(output) && !fs::is_empty(output) && fresh_output_ && !o_.run.force)
         throw OutputError(output.string() + ": is not empty and was not made by vdbcarve. Remedy: another -o, or --force to write into it");
+    if (fresh_output_) refuse_foreign_results(output);
     make_folder(output / "stages");
     lock_ = OutLock(output);
     store_.emplace(output / "stages");

@@ -86,6 +86,13 @@ bool Store::is_whole(const Slot& slot) const {
     return true;
 }
 
+bool Store::is_whole(const Slot& slot, const std::string& name) const {
+    const auto note = read_note(slot.folder_);
+    if (!note) return false;
+    const auto found = std::find_if(note->payloads.begin(), note->payloads.end(), [&](const Payload& p) { return p.name == name; });
+    return found != note->payloads.end() && vdbcarve::is_whole(slot.folder_, {*found});
+}
+
 std::optional<Slot> Store::find(const std::string& stage, const std::string& key) {
     Slot slot;
     slot.folder_ = slot.final_ = folder_of(stage, key);

@@ -44,6 +44,8 @@ class Store {
     /// Notes of all finished stages of that name, of any run, sorted by folder; payloads are not looked at: is_whole() does.
     std::vector<Slot> all(const std::string& stage) const;
     bool is_whole(const Slot& slot) const;
+    /// The same of one payload.
+    bool is_whole(const Slot& slot, const std::string& name) const;
 
     /// Removes what earlier runs made of these stages and this run did not ask for.
     void forget_others(const std::set<std::string>& stages) const;

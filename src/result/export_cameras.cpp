@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <fstream>
 #include <iomanip>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -12,6 +13,7 @@
 #include <sstream>
 
 #include "base/atomic_file.h"
+#include "base/output_names.h"
 #include "image/image_io.h"
 #include "base/text.h"
 #include "vdbcarve/color_space.h"
@@ -33,19 +35,37 @@ bool is_lossy(const fs::path& file) {
     return extension == ".jpg" || extension == ".jpeg" || extension == ".heic" || extension == ".heif" || extension == ".webp" || extension == ".avif";
 }
 
-/// The photograph's name in the exported set; folders only where names need them.
+/// Without the folders that all names begin with.
+void remove_common_folder(std::vector<std::string>& names) {
+    fs::path common = fs::path(names.front()).parent_path();
+    for (const std::string& name : names) {
+        const fs::path folder = fs::path(name).parent_path();
+        fs::path both;
+        for (auto a = common.begin(), b = folder.begin(); a != common.end() && b != folder.end() && *a == *b; ++a, ++b) both /= *a;
+        common = both;
+    }
+    if (common.empty()) return;
+    for (std::string& name : names) name = fs::path(name).lexically_relative(common).generic_string();
+}
+
+/// The photograph's name in the exported set; folders only where names need them. What is written (`undistort`) gets a name inside images/, whatever the camera
+/// file calls it; a photograph that stays where it is keeps the camera file's name.
 std::vector<std::string> names_for(const Views& views, bool undistort) {
     std::set<std::string> bases;
     for (const View& v : views.views) bases.insert(fs::path(v.name).stem().string());
     const bool unique = bases.size() == views.views.size();
     std::vector<std::string> out;
+    bool leave_folder = false;
     for (const View& v : views.views) {
         fs::path name = v.image_path.empty() ? fs::path(v.name) : fs::path(v.name).parent_path() / v.image_path.filename();
         if (unique) name = name.filename();
         if (undistort) name.replace_extension(is_lossy(v.image_path) ? ".jpg" : ".png");
+        leave_folder |= name.is_absolute() || std::find(name.begin(), name.end(), fs::path("..")) != name.end();
         out.push_back(name.generic_string());
     }
-    return out;
+    if (!undistort) return out;
+    if (leave_folder) remove_common_folder(out);  // ring1/0001.jpg, not home/user/photos/ring1/0001.jpg
+    return output_names(out, Folders::Kept);
 }
 
 void check(const Views& views, const CameraExportOptions& options, Progress& progress) {
@@ -69,20 +89,77 @@ void check(const Views& views, const CameraExportOptions& options, Progress& pro
     if (!views.unverified.empty()) progress.warn("these cameras are UNVERIFIED: " + some_of(views.unverified));
 }
 
-void write_pictures(const Views& views, const std::vector<std::string>& names, const fs::path& folder, const CameraExportOptions& options, Progress& progress) {
-    std::vector<std::string> masks = mask_names(views);
+/// What write_pictures() writes for a view.
+struct Pictures {
+    fs::path photo, mask, mask_from;  ///< the last two empty where there is no mask
+};
+
+std::vector<Pictures> pictures_to_write(const std::vector<std::string>& names, const std::vector<std::string>& masks, const fs::path& folder,
+                                        const CameraExportOptions& options) {
+    std::vector<Pictures> out(names.size());
+    for (size_t i = 0; i < names.size(); ++i) {
+        out[i].photo = folder / "images" / names[i];
+        if (options.masks.empty() || !fs::exists(options.masks / masks[i])) continue;
+        out[i].mask_from = options.masks / masks[i];
+        out[i].mask = folder / "masks" / (names[i] + ".png");
+    }
+    return out;
+}
+
+/// The first line of our cameras.txt, by which an earlier export of ours is known.
+constexpr const char* kColmapHead = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]";
+
+/// Throws OutputError where the folder holds a COLMAP model of somebody else's.
+void check_model(const fs::path& model) {
+    std::string first;
+    std::getline(std::ifstream(model / "cameras.txt"), first);
+    for (const char* file : {"cameras.txt", "images.txt", "points3D.txt", "cameras.bin", "images.bin", "points3D.bin"})
+        if (first != kColmapHead && fs::exists(model / file))
+            throw OutputError((model / file).string() + ": is of a model that vdbcarve did not write. Remedy: another -o");
+}
+
+/// Throws OutputError where the export would replace photographs, masks or cameras, or mix its own with those of the scene.
+void check_target(const Views& views, const std::vector<Pictures>& pictures, const fs::path& target, const CameraExportOptions& options) {
+    const bool transforms = target.extension() == ".json";
+    const auto folder_of = [](const fs::path& file) { return file.has_parent_path() ? file.parent_path() : fs::path("."); };
+    const fs::path folder = transforms ? folder_of(target) : target, model = folder / "sparse" / "0";
+    FilesRead read;
+    std::set<fs::path> photos, masks;
+    for (const View& v : views.views) {
+        read.add(v.image_path);
+        read.add(v.mask_path);
+        if (!v.image_path.empty()) photos.insert(folder_of(v.image_path));
+        if (!v.mask_path.empty()) masks.insert(folder_of(v.mask_path));
+    }
+    read.add(views.camera_file);
+    read.add(options.masks);
+    if (!options.masks.empty()) masks.insert(options.masks);
+    const auto refuse_where = [&](const std::set<fs::path>& inputs, std::initializer_list<fs::path> written) {
+        for (const fs::path& place : written)
+            for (const fs::path& input : inputs)
+                if (is_same_place(input, place))
+                    throw OutputError(target.string() + ": the export would write into " + input.string() + ", which it reads from. Remedy: another -o");
+    };
+    if (options.undistort || !transforms) refuse_where(photos, {folder, folder / "images"});
+    if (options.undistort) refuse_where(masks, {folder / "masks"});
+    if (!transforms && !views.camera_file.empty()) refuse_where({views.camera_file, folder_of(views.camera_file)}, {folder, folder / "sparse", model});
+    for (const Pictures& p : pictures)
+        for (const fs::path& file : {p.photo, p.mask}) read.refuse(file);
+    if (transforms) read.refuse(target);
+    else check_model(model);
+}
+
+void write_pictures(const Views& views, const std::vector<Pictures>& pictures, Progress& progress) {
     progress.begin("undistort", views.views.size());
     tbb::parallel_for(size_t{0}, views.views.size(), [&](size_t i) {
-        const fs::path file = folder / "images" / names[i];
-        make_folder(file.parent_path());
+        const Pictures& to = pictures[i];
+        make_folder(to.photo.parent_path());
         const Image8 picture = load_photo8(views.views[i]);
-        const auto bytes = file.extension() == ".jpg" && picture.channels != 4 ? io::encode_jpeg(picture, kJpegQuality, 0) : io::encode_png(picture);
-        write_file(file, bytes.data(), bytes.size());
-        if (const fs::path mask = options.masks / masks[i]; !options.masks.empty() && fs::exists(mask)) {
-            fs::path to = folder / "masks" / names[i];
-            to += ".png";
-            make_folder(to.parent_path());
-            place_copy(mask, to);
+        const auto bytes = to.photo.extension() == ".jpg" && picture.channels != 4 ? io::encode_jpeg(picture, kJpegQuality, 0) : io::encode_png(picture);
+        write_file(to.photo, bytes.data(), bytes.size());
+        if (!to.mask.empty()) {
+            make_folder(to.mask.parent_path());
+            place_copy(to.mask_from, to.mask);
         }
         progress.step();
     });
@@ -116,7 +193,7 @@ void write_colmap(const Views& views, const std::vector<std::string>& names, con
     const std::vector<Camera> posed = views.cameras();
     std::ostringstream cameras, images, points;
     for (std::ostringstream* out : {&cameras, &images, &points}) *out << std::setprecision(17);
-    cameras << "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
+    cameras << kColmapHead << "\n";
     images << "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n";
     points << "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n";
     std::map<std::string, size_t> known;  // one camera for all photographs that share it
@@ -148,7 +225,8 @@ void write_colmap(const Views& views, const std::vector<std::string>& names, con
     write_file(model / "images.txt", images.str());
 }
 
-void write_transforms(const Views& views, const std::vector<std::string>& names, const fs::path& file, const CameraExportOptions& options) {
+void write_transforms(const Views& views, const std::vector<std::string>& names, const std::vector<Pictures>& pictures, const fs::path& file,
+                      const CameraExportOptions& options) {
     Views out = views;
     const FileFrame z_up = file_frame(".ply", {views.up, "", views.up.empty() ? Dcc::None : Dcc::Blender, false});
     Mat3d turn;
@@ -175,7 +253,7 @@ void write_transforms(const Views& views, const std::vector<std::string>& names,
         f.erase("vdbcarve");
         const fs::path& photo = views.views[i].image_path;
         f["file_path"] = options.undistort ? "images/" + names[i] : photo.empty() ? views.views[i].name : fs::proximate(photo, folder).generic_string();
-        if (options.undistort && fs::exists(folder / "masks" / (names[i] + ".png"))) f["mask_path"] = "masks/" + names[i] + ".png";
+        if (options.undistort && !pictures[i].mask.empty()) f["mask_path"] = "masks/" + names[i] + ".png";
         models.insert(f["camera_model"].get<std::string>());
     }
     if (models.size() == 1) j["camera_model"] = *models.begin() == "PINHOLE" ? "OPENCV" : *models.begin();  // nerfstudio has no pinhole of its own
@@ -191,17 +269,26 @@ void write_transforms(const Views& views, const std::vector<std::string>& names,
 
 void export_cameras(const Views& all, const fs::path& target, const CameraExportOptions& options, Progress& progress) {
     Views views = all;
-    std::vector<std::string> unused;
-    for (const View& v : all.views)
-        if (!v.unused.empty()) unused.push_back(v.name + " (" + v.unused + ")");
-    std::erase_if(views.views, [](const View& v) { return !v.unused.empty(); });
+    views.views.clear();
+    std::vector<std::string> unused, masks, masks_of_all = mask_names(all);  // a view that is not used has a mask, too
+    for (size_t i = 0; i < all.views.size(); ++i) {
+        const View& v = all.views[i];
+        if (v.unused.empty()) {
+            views.views.push_back(v);
+            masks.push_back(masks_of_all[i]);
+        } else {
+            unused.push_back(v.name + " (" + v.unused + ")");
+        }
+    }
     if (!unused.empty()) progress.warn(counted(unused.size(), "view") + " left out, as the camera file says not to use: " + some_of(unused));
     check(views, options, progress);
     const std::vector<std::string> names = names_for(views, options.undistort);
     const bool transforms = target.extension() == ".json";
     const fs::path folder = transforms ? (target.has_parent_path() ? target.parent_path() : fs::path(".")) : target;
-    if (options.undistort) write_pictures(views, names, folder, options, progress);
-    if (transforms) write_transforms(views, names, target, options);
+    const std::vector<Pictures> pictures = options.undistort ? pictures_to_write(names, masks, folder, options) : std::vector<Pictures>();
+    check_target(views, pictures, target, options);
+    if (options.undistort) write_pictures(views, pictures, progress);
+    if (transforms) write_transforms(views, names, pictures, target, options);
     else write_colmap(views, names, folder, options);
 }
 

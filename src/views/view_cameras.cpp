@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <set>
 
+#include "base/output_names.h"
 #include "vdbcarve/views.h"
 
 namespace vdbcarve {
@@ -39,13 +40,9 @@ std::vector<std::string> mask_names(const Views& views) {
     std::set<std::string> stems;
     bool unique = true;
     for (const View& v : views.views) unique &= stems.insert(std::filesystem::path(v.name).stem().string()).second;
-    std::vector<std::string> out;
-    for (const View& v : views.views) {
-        std::string name = unique ? std::filesystem::path(v.name).stem().string() : v.name;
-        std::replace(name.begin(), name.end(), '/', '_');
-        out.push_back(name + ".png");
-    }
-    return out;
+    std::vector<std::string> wanted;
+    for (const View& v : views.views) wanted.push_back((unique ? std::filesystem::path(v.name).stem().string() : v.name) + ".png");
+    return output_names(wanted, Folders::Joined);
 }
 
 }  // namespace vdbcarve

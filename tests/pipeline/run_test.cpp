@@ -88,7 +88,7 @@ TEST(Pipeline, AStageThatWasCutOffIsMadeAgain) {
     const std::string good = job.bytes("mesh.ply");
     // What a killed run leaves: some stages done, a temporary file, no result.
     for (const auto& e : fs::directory_iterator(job.folder / "out/stages"))
-        if (e.path().filename().string().rfind("surface-", 0) == 0) fs::remove(e.path());
+        if (e.path().filename().string().rfind("level_set-", 0) == 0) fs::remove_all(e.path());
     for (const char* f : kFiles) fs::remove(job.folder / (std::string("out/") + f));
     write_text(job.folder / "out/stages/.surface-123.vdb.part99", "half");
     const json r = job.run();
@@ -160,7 +160,7 @@ TEST(Pipeline, BricksUnderAMemoryLimitEqualTheWhole) {
     // A brick that is lost is made again, the others are kept.
     const std::string lost = parts["grid"]["bricks"][1];
     for (const auto& e : fs::recursive_directory_iterator(job.folder / "bricks/stages"))
-        if (e.path().filename() == lost || (e.path().extension() == ".json" && e.path().filename().string().rfind("hull-", 0) == 0)) fs::remove(e.path());
+        if (e.path().filename() == lost) fs::remove(e.path());
     job.run();
     EXPECT_TRUE(fs::exists(job.folder / "bricks/hull_bricks" / lost));
     // The whole job says what it needs instead of trying.
@@ -209,7 +209,7 @@ TEST(Pipeline, MasksOfKnownPhotographsAreNotMadeAgain) {
     EXPECT_EQ(known, a.bytes("out/masks/" + fs::path(a.names[3]).stem().string() + ".png"));
     // One that was damaged in the meantime is made again.
     for (const auto& entry : fs::directory_iterator(a.folder / "out/stages"))
-        if (entry.path().filename().string().rfind("masks-", 0) == 0) write_text(entry.path() / "3.png", "no picture");
+        if (entry.path().filename().string().rfind("mask-", 0) == 0) write_text(entry.path() / "3.png", "no picture");
     fs::remove_all(a.folder / "out/stages/mask_command");
     fs::remove(a.folder / ("scene/images/" + a.names[0]));
     a.run(a.options);

@@ -102,7 +102,7 @@ struct Arrivals {
     std::string hull(const fs::path& out) const {
         std::vector<fs::path> found;
         for (const auto& entry : fs::directory_iterator(out / "stages"))
-            if (entry.path().filename().string().rfind("hull-", 0) == 0 && entry.path().extension() == ".vdb") found.push_back(entry.path());
+            if (entry.path().filename().string().rfind("carve-", 0) == 0) found.push_back(entry.path() / "hull.vdb");
         EXPECT_EQ(found.size(), 1u) << out;  // those of fewer views are gone
         return found.empty() ? "" : read_text(found.front());
     }

@@ -82,6 +82,8 @@ std::vector<std::optional<KnownMask>> MakeMasks::known_masks(const Store& store)
         const auto& [slot, number, origin] = found->second;
         const std::string stem = std::to_string(number);
         if (!slot->has(stem + ".png")) return;  // one that was left out is made, and left out, again
+        for (const char* part : {".png", "_ignore.png"})
+            if (slot->has(stem + part) && !store.is_whole(*slot, stem + part)) return;  // damaged: it is made again
         try {
             out[i] = KnownMask{
                 {io::read_image8(slot->file(stem + ".png")), slot->has(stem + "_ignore.png") ? io::read_image8(slot->file(stem + "_ignore.png")) : Image8()},

@@ -5,6 +5,7 @@
 #include "align/align_scale.h"
 #include "check/camera_doubts.h"
 #include "pipeline/advice.h"
+#include "pipeline/output_check.h"
 #include "base/text.h"
 
 namespace vdbcarve {
@@ -119,6 +120,7 @@ Shoot LoadViews::run(Run& run) {
             throw UsageError("--dry-run: " + file.string() +
                              " is a video, of which frames are to be taken first. Remedy: vdbcarve mask, then its folder in OUT/stages as the scene");
         if (!options.views.images.empty()) throw UsageError("--images: " + file.string() + " is a video, its frames are the photographs. Remedy: without it");
+        refuse_output_among_inputs(run.out(), options.views, options.mask, {});
         run.open(file);
         bool were_there = false;
         Frames found = run.part(ExtractFrames{file, options.video}, &were_there);
@@ -147,6 +149,7 @@ Shoot LoadViews::run(Run& run) {
                          progress);
     check_axes(options, shoot, progress);
     progress.note(counted(views.views.size(), "view") + " from " + views.camera_file.string() + " (" + views.format + ")");
+    if (!run.dry()) refuse_output_among_inputs(run.out(), wanted, options.mask, views);
     run.open(shoot.folder);
     run.keep_cameras(views);
     return shoot;

@@ -211,10 +211,10 @@ std::string cameras_json(const Views& views, const std::filesystem::path& relati
     using nlohmann::json;
     json top;
     json& frames = top["frames"] = json::array();
-    // Base names where they tell the views apart, else the camera file's own names, folders included.
+    // Base names where they tell the views apart, also without extension (masks are named so), else the camera file's own names, folders included.
     std::set<std::string> base_names;
     for (const View& view : views.views)
-        base_names.insert(std::filesystem::path(view.image_path.empty() ? view.name : view.image_path.string()).filename().string());
+        base_names.insert(std::filesystem::path(view.image_path.empty() ? view.name : view.image_path.string()).stem().string());
     const bool unique = base_names.size() == views.views.size();
     for (const View& view : views.views) {
         const Intrinsics& k = view.camera.intrinsics;
