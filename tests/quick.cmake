@@ -12,7 +12,7 @@ set(long_tests
   AlignPipeline.ABrokenMaskIsNotCarvedWith
   AlignPipeline.CamerasThatCannotBeTrustedEndTheRunUnlessAccepted
 )
-foreach(label align unit color stereo property options pipeline real gpu)
+foreach(label align unit color stereo property options runner pipeline real gpu)
   foreach(test IN LISTS vdbcarve_${label}_tests_TESTS)
     list(FIND long_tests ${test} at)
     if(at EQUAL -1)

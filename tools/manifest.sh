@@ -186,6 +186,7 @@ def place_free(value):  # where a result lies, and the keys of stages/
     return re.sub(r"(stages/[a-z_]+)-[0-9a-f]{8,}", r"\1", value)
 def differences(a, b, where=""):
     if isinstance(a, dict) and isinstance(b, dict):
+        a, b = ({place_free(k): v for k, v in side.items()} for side in (a, b))
         for key in sorted(a.keys() | b.keys()):
             if VOLATILE.match(key):
                 continue

@@ -23,8 +23,9 @@ namespace vdbcarve {
 namespace {
 
 /// Cameras are found, and refused where they must not be trusted. From a mat before there are masks, from silhouettes after.
-void find_cameras(Run& run, Shoot& shoot, const Silhouettes& masks) {
+void find_cameras(Run& run, Shoot& shoot, Silhouettes& masks) {
     shoot = run(Align{run.options(), shoot, masks});
+    if (!masks.names.empty()) masks.used = choose_used(run.options(), shoot, masks, run.progress());
     refuse_or_warn(run, shoot, masks);
     run.keep_cameras(shoot.views);
 }
@@ -51,10 +52,7 @@ Reconstruction reconstruct(const ReconstructOptions& o, Progress& progress) {
         if (by_mat) find_cameras(run, shoot, masks);
         if (!by_mat || last != LastStage::Align) masks = find_silhouettes(run, shoot);
         if (last == LastStage::Mask) return publish(run, shoot, masks);
-        if (!by_mat && finds_cameras(o, shoot.views)) {
-            find_cameras(run, shoot, masks);
-            masks.used = choose_used(o, shoot, masks, progress);
-        }
+        if (!by_mat && finds_cameras(o, shoot.views)) find_cameras(run, shoot, masks);
         if (o.floor.from != FloorOptions::From::File) shoot.stand_on(run(FindFloor{shoot, masks, o.floor, o.carve.min_seen}));
         if (last == LastStage::Align) return publish_cameras(run, shoot, masks);
         if (o.mask.repair && !o.run.dry_run) masks = run(RepairMasks{shoot, masks});

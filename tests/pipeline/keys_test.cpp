@@ -26,7 +26,7 @@ namespace {
 std::map<std::string, std::string> keys_of(const ReconstructOptions& o) {
     Progress progress;
     Run run(o, progress);
-    Shoot shoot;
+    vdbcarve::Shoot shoot;
     shoot.up_given = o.views.up;
     View view;
     view.name = "a.png";

@@ -171,7 +171,7 @@ TEST(Run, AnIdleStagePassesAndKeepsNothing) {
 
 TEST(Run, AFailureSaysWhichStage) {
     Out out;
-    Run run(out.options, out.progress);
+    vdbcarve::Run run(out.options, out.progress);
     EXPECT_THROW(run.guarded([&]() -> Reconstruction {
         run.open(out.folder / "scene");
         run(Pretend{7, out.runs});

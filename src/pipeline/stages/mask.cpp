@@ -67,27 +67,26 @@ std::vector<std::optional<KnownMask>> MakeMasks::known_masks(const Store& store)
     struct Place {
         const Slot* slot;
         size_t number;
+        bool ignores;
         std::string origin;
     };
     const std::vector<Slot> slots = store.all(kName);
     std::map<std::string, Place> places;
     for (const Slot& slot : slots) {
         const auto theirs = slot.note.at("keys").get<std::vector<std::string>>(), origins = slot.note.at("origins").get<std::vector<std::string>>();
-        for (size_t i = 0; i < std::min(theirs.size(), origins.size()); ++i) places[theirs[i]] = {&slot, i, origins[i]};
+        const auto ignores = slot.note.at("ignores").get<std::vector<bool>>();
+        for (size_t i = 0; i < theirs.size(); ++i) places[theirs[i]] = {&slot, i, ignores.at(i), origins.at(i)};
     }
     std::vector<std::optional<KnownMask>> out(view_keys_.size());
     tbb::parallel_for(size_t{0}, view_keys_.size(), [&](size_t i) {
         const auto found = places.find(view_keys_[i]);
         if (found == places.end()) return;
-        const auto& [slot, number, origin] = found->second;
-        const std::string stem = std::to_string(number);
-        if (!slot->has(stem + ".png")) return;  // one that was left out is made, and left out, again
-        for (const char* part : {".png", "_ignore.png"})
-            if (slot->has(stem + part) && !store.is_whole(*slot, stem + part)) return;  // damaged: it is made again
+        const auto& [slot, number, ignores, origin] = found->second;
+        const std::string coverage = std::to_string(number) + ".png", ignore = std::to_string(number) + "_ignore.png";
+        // One that was left out is made, and left out, again; so is one that was damaged.
+        if (!slot->has(coverage) || !store.is_whole(*slot, coverage) || (ignores && !store.is_whole(*slot, ignore))) return;
         try {
-            out[i] = KnownMask{
-                {io::read_image8(slot->file(stem + ".png")), slot->has(stem + "_ignore.png") ? io::read_image8(slot->file(stem + "_ignore.png")) : Image8()},
-                origin};
+            out[i] = KnownMask{{io::read_image8(slot->file(coverage)), ignores ? io::read_image8(slot->file(ignore)) : Image8()}, origin};
         } catch (const InputError&) {
             // Damaged: it is made again.
         }
@@ -121,7 +120,9 @@ void MakeMasks::save(Slot& slot, Silhouettes& made) const {
         made.files[i] = slot.later(stem + ".png");
         if (!mask.ignore.empty()) io::write_png(slot.file(stem + "_ignore.png"), mask.ignore);
     });
-    slot.note = {{"origins", made.masks.origins}, {"left_out", made.masks.left_out}, {"keys", view_keys_}};
+    std::vector<bool> ignores;
+    for (const Mask& mask : made.masks.masks) ignores.push_back(!mask.coverage.empty() && !mask.ignore.empty());
+    slot.note = {{"origins", made.masks.origins}, {"left_out", made.masks.left_out}, {"keys", view_keys_}, {"ignores", ignores}};
 }
 
 Silhouettes MakeMasks::load(const Slot& slot) const {
