@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "pipeline/advice.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 void accept_or_refuse(const std::vector<std::string>& why, const std::string& what, bool accept, Progress& progress) {
     std::string list;
@@ -21,4 +21,4 @@ std::string ask_check(const ReconstructOptions& options, const Shoot& shoot) {
            (shoot.alignment ? "" : ", tries other readings of the poses and writes the one that fits (--write-cameras FILE)");
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -8,7 +8,7 @@
 #include "pipeline/values.h"
 #include "vdbcarve/pipeline.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// Cameras that may be wrong are not carved with, unless that is wanted: then it is a warning. Throws UndeterminedError.
 void accept_or_refuse(const std::vector<std::string>& why, const std::string& what, bool accept, Progress& progress);
@@ -29,4 +29,4 @@ auto with_advice(const ReconstructOptions& options, const Shoot& shoot, const Wo
     }
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -10,7 +10,7 @@
 #include "result/result_json.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -103,4 +103,4 @@ ReconstructOptions repeatable(const ReconstructOptions& options, const std::opti
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

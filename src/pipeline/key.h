@@ -11,7 +11,7 @@
 #include "vdbcarve/geometry.h"
 #include "vdbcarve/version.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 inline void add_camera(Sha256& hash, const Camera& c) {
     const Intrinsics& k = c.intrinsics;
@@ -48,4 +48,4 @@ class Key {
     Sha256 hash_;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <map>
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
@@ -44,4 +44,4 @@ std::optional<KnownHull> find_known_hull(const Store& store, const std::string& 
     return std::nullopt;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -9,7 +9,7 @@
 
 #include "pipeline/store.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct KnownHull {
     Slot slot;                   ///< of stage carve
@@ -21,4 +21,4 @@ struct KnownHull {
 /// the one of most views, all of them maybe. Hulls in bricks, and what is damaged, count for nothing.
 std::optional<KnownHull> find_known_hull(const Store& store, const std::string& base, const std::vector<std::string>& views);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -7,7 +7,7 @@
 #include "vdbcarve/error.h"
 #include "vdbcarve/mesh.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace {
 
@@ -74,4 +74,4 @@ DeviceFit fit_device(const JobSize& job, double free_bytes) {
     return fit;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

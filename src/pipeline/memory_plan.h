@@ -6,7 +6,7 @@
 #include <optional>
 #include <string>
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 // Bytes a leaf of the surface, measured on the dragon at 512 to 2048 (BENCHMARKS.md).
 inline constexpr double kTreePerLeaf = 2215;  ///< values, masks and nodes
@@ -68,4 +68,4 @@ DeviceFit fit_device(const JobSize& job, double free_bytes);
 /// "1.234 GB".
 std::string gigabytes(double bytes);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -16,7 +16,7 @@
 #include "vdbcarve/pipeline.h"
 #include "vdbcarve/result.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 
@@ -115,11 +115,17 @@ void ResultSet::commit() {
     fs::remove_all(part_, error);
 }
 
+}  // namespace vdbcarve::pipeline
+
+namespace vdbcarve {
+
+namespace fs = std::filesystem;
+
 size_t clean(const fs::path& output) {
     if (!fs::is_directory(output)) throw InputError(output.string() + ": no such folder");
     if (!made_by_us(output)) throw InputError(output.string() + ": was not made by vdbcarve");
-    const OutLock lock(output);
-    const fs::path lock_file = OutLock::file_in(output);
+    const pipeline::OutLock lock(output);
+    const fs::path lock_file = pipeline::OutLock::file_in(output);
     size_t bytes = 0;
     for (const auto& entry : fs::directory_iterator(output / "stages")) {
         if (entry.path() == output / kMarker || entry.path() == lock_file) continue;

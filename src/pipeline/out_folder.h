@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 inline constexpr const char* kUnverified = "unverified";  ///< folder in OUT for cameras that align() does not stand behind
 
@@ -55,4 +55,4 @@ class ResultSet {
     std::vector<std::filesystem::path> files_, gone_;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

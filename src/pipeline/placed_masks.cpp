@@ -8,7 +8,7 @@
 #include "base/sha256.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -73,4 +73,4 @@ void place_masks(ResultSet& set, const Silhouettes& masks, Progress& progress) {
     write_file(note, written.dump(1) + "\n");
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -9,7 +9,7 @@
 #include "pipeline/out_folder.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// Masks in OUT/masks that are not as a run left them, by view; empty paths: they are. Each is said.
 std::vector<std::filesystem::path> edited_masks(const std::filesystem::path& output, const std::vector<std::string>& names, Progress& progress);
@@ -18,4 +18,4 @@ std::vector<std::filesystem::path> edited_masks(const std::filesystem::path& out
 /// of ours wrote is in the way: --force lets a run into a folder with other files, it does not give these away.
 void place_masks(ResultSet& set, const Silhouettes& masks, Progress& progress);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

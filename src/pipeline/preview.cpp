@@ -7,7 +7,7 @@
 
 #include "image/image_io.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace {
 
@@ -68,4 +68,4 @@ std::vector<size_t> spread_evenly(const std::vector<size_t>& of, size_t most) {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -8,7 +8,7 @@
 #include "pipeline/values.h"
 #include "vdbcarve/raster.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// Of all views; those without a mask stay as they are made.
 std::vector<SilhouetteAgreement> compare_with_masks(const Mesh& mesh, const std::vector<Camera>& cameras, const Silhouettes& masks,
@@ -21,4 +21,4 @@ Image8 draw_preview(const Mesh& mesh, const Shoot& shoot, const Silhouettes& mas
 /// So many indices of `of`, evenly spread.
 std::vector<size_t> spread_evenly(const std::vector<size_t>& of, size_t most);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

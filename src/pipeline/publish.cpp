@@ -18,7 +18,7 @@
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/app/report.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -194,4 +194,4 @@ void refuse_or_warn(Run& run, const Shoot& shoot, const Silhouettes& masks) {
     accept_or_refuse(why, "the cameras found are UNVERIFIED" + shown, accept, run.progress());
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -6,7 +6,7 @@
 #include "pipeline/stages/export.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// Masks into OUT/masks right away, to be looked at and edited while the run goes on; not where OUT has a result, which stays whole until the run is done.
 void show_masks(Run& run, const Silhouettes& masks);
@@ -26,4 +26,4 @@ Reconstruction publish(Run& run, const Made& made);
 /// are accepted, with a warning.
 void refuse_or_warn(Run& run, const Shoot& shoot, const Silhouettes& masks);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -20,6 +20,8 @@
 
 namespace vdbcarve {
 
+using namespace pipeline;
+
 namespace {
 
 /// Cameras are found, and refused where they must not be trusted. From a mat before there are masks, from silhouettes after.

@@ -10,7 +10,7 @@
 #include "vdbcarve/config.h"
 #include "vdbcarve/version.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -121,4 +121,4 @@ void Run::Entry::done() {
     }
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -19,7 +19,7 @@
 #include "vdbcarve/progress.h"
 #include "vdbcarve/result.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// A stage is a struct with its inputs and options, and
 ///   static constexpr const char* kName;      its file's name in stages/, its timer, its entry in the report, its folder in OUT/stages
@@ -200,4 +200,4 @@ typename S::Result Run::keep(S& stage) {
     }
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

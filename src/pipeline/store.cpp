@@ -11,7 +11,7 @@
 #include "base/sha256.h"
 #include "vdbcarve/error.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -81,7 +81,7 @@ bool Store::is_whole(const Slot& slot) const {
     const std::string name = slot.folder_.filename().string();
     if (whole_.count(name)) return true;
     const auto note = read_note(slot.folder_);
-    if (!note || !vdbcarve::is_whole(slot.folder_, note->payloads)) return false;
+    if (!note || !pipeline::is_whole(slot.folder_, note->payloads)) return false;
     whole_.insert(name);
     return true;
 }
@@ -90,7 +90,7 @@ bool Store::is_whole(const Slot& slot, const std::string& name) const {
     const auto note = read_note(slot.folder_);
     if (!note) return false;
     const auto found = std::find_if(note->payloads.begin(), note->payloads.end(), [&](const Payload& p) { return p.name == name; });
-    return found != note->payloads.end() && vdbcarve::is_whole(slot.folder_, {*found});
+    return found != note->payloads.end() && pipeline::is_whole(slot.folder_, {*found});
 }
 
 std::optional<Slot> Store::find(const std::string& stage, const std::string& key) {
@@ -164,4 +164,4 @@ void Store::remove_unfinished() const {
     for (const fs::path& path : old) fs::remove_all(path);
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// One stage's folder: payload files, and a note of what else the stage has to say.
 class Slot {
@@ -60,4 +60,4 @@ class Store {
     mutable std::set<std::string> whole_;  ///< folders whose payloads were looked at in this run
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -8,7 +8,7 @@
 #include "image/image_io.h"
 #include "vdbcarve/caps.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
@@ -145,4 +145,4 @@ double largest_photo_bytes(const Shoot& shoot, const Silhouettes& masks) {
     return largest;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

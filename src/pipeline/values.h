@@ -26,7 +26,7 @@
 #include "vdbcarve/video.h"
 #include "vdbcarve/views.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// Cameras that this run found.
 struct Alignment {
@@ -216,4 +216,4 @@ inline constexpr double kPhotoBytesPerPixel = 12;
 /// Bytes of the largest photograph, its field and what making both needs besides.
 double largest_photo_bytes(const Shoot& shoot, const Silhouettes& masks);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -22,11 +22,13 @@
 namespace vdbcarve::test {
 namespace {
 
+using namespace pipeline;
+
 /// Keys of all stages for some options, their inputs held still.
 std::map<std::string, std::string> keys_of(const ReconstructOptions& o) {
     Progress progress;
     Run run(o, progress);
-    vdbcarve::Shoot shoot;
+    pipeline::Shoot shoot;
     shoot.up_given = o.views.up;
     View view;
     view.name = "a.png";

@@ -16,6 +16,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
+using namespace pipeline;
 
 struct Text {
     std::string key, words;
@@ -171,7 +172,7 @@ TEST(Run, AnIdleStagePassesAndKeepsNothing) {
 
 TEST(Run, AFailureSaysWhichStage) {
     Out out;
-    vdbcarve::Run run(out.options, out.progress);
+    pipeline::Run run(out.options, out.progress);
     EXPECT_THROW(run.guarded([&]() -> Reconstruction {
         run.open(out.folder / "scene");
         run(Pretend{7, out.runs});

@@ -9,7 +9,7 @@
 #include "pipeline/stages/views.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -167,4 +167,4 @@ void Align::say(const Shoot& made, Progress& progress) const {
                     word("units").c_str()));
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

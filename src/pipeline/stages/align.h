@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct Align {
     static constexpr const char* kName = "align";
@@ -39,4 +39,4 @@ struct Align {
 /// The shoot with the cameras that the object turned the other way would have. Only where Alignment::other_cameras is there.
 Views other_direction(const Shoot& shoot);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -10,7 +10,7 @@
 #include "pipeline/stages/distance.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -242,4 +242,4 @@ Hull Carve::load(const Slot& slot) const {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

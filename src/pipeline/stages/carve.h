@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct Carve {
     static constexpr const char* kName = "carve";
@@ -40,4 +40,4 @@ struct Carve {
     friend struct CarveBrick;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -6,7 +6,7 @@
 
 #include "base/memory.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
@@ -132,4 +132,4 @@ Colors Color::load(const Slot& slot) const {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

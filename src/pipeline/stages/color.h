@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct Color {
     static constexpr const char* kName = "color";
@@ -39,4 +39,4 @@ struct Color {
 /// Colour options as the job sets them: up axis, normals of a binary model, and as many photographs at a time as fit into memory.
 ColorOptions color_options(const ReconstructOptions& options, const Shoot& shoot, const Silhouettes& masks, const Surface& surface, Run& run);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -13,7 +13,7 @@
 #include "base/statistics.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
@@ -360,4 +360,4 @@ void Distance::report(const Plan& plan, json& report) const {
     if (plan.needed) report["grid"] = plan.grid;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct Distance {
     static constexpr const char* kName = "distance";
@@ -29,4 +29,4 @@ struct Distance {
 /// Batches and bricks, for where the run carves now.
 void share_out(Plan& plan, Run& run);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

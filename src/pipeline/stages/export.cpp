@@ -15,7 +15,7 @@
 #include "base/text.h"
 #include "vdbcarve/level_set.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -254,4 +254,4 @@ void Export::report(const Exported& e, json& report) const {
     if (!e.contradiction.empty()) report["contradiction"] = e.contradiction;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -7,7 +7,7 @@
 #include "vdbcarve/caps.h"
 #include "vdbcarve/raster.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// What the stages made.
 struct Made {
@@ -56,4 +56,4 @@ struct Export {
 /// What the alignment drew; and nothing of an earlier one's.
 void place_align_pictures(ResultSet& set, const Shoot& shoot);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -9,7 +9,7 @@
 #include "base/statistics.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
@@ -118,4 +118,4 @@ Surface Filter::load(const Slot& slot) const {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

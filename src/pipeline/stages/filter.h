@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct Filter {
     static constexpr const char* kName = "filter";
@@ -34,4 +34,4 @@ struct Filter {
     nlohmann::json summary(const FilterResult& result, Progress& progress) const;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

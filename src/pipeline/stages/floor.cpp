@@ -6,7 +6,7 @@
 #include "base/text.h"
 #include "vdbcarve/caps.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
@@ -63,4 +63,4 @@ void FindFloor::say(const FloorFound& made, Progress& progress) const {
 
 void FindFloor::report(const FloorFound& made, json& report) const { report["floor"] = said(made); }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

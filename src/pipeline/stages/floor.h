@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct FindFloor {
     static constexpr const char* kName = "floor";
@@ -27,4 +27,4 @@ struct FindFloor {
     void report(const FloorFound& made, nlohmann::json& report) const;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

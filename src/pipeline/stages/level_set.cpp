@@ -6,7 +6,7 @@
 #include "vdbcarve/caps.h"
 #include "vdbcarve/level_set.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace {
 
@@ -98,4 +98,4 @@ Surface LevelSet::load(const Slot& slot) const {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct LevelSet {
     static constexpr const char* kName = "level_set";
@@ -32,4 +32,4 @@ struct LevelSet {
 /// The binary model of --occupancy, from its file where it is not in memory.
 openvdb::MaskGrid::Ptr occupancy_of(const Hull& hull);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -12,7 +12,7 @@
 #include "pipeline/stages/views.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -166,4 +166,4 @@ std::vector<size_t> choose_used(const ReconstructOptions& options, const Shoot& 
     return used;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

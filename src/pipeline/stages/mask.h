@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct MakeMasks {
     static constexpr const char* kName = "mask";
@@ -36,4 +36,4 @@ struct MakeMasks {
 /// Views with a mask, but for those that cameras.json or align() says not to use. Before cameras are looked for every silhouette is asked.
 std::vector<size_t> choose_used(const ReconstructOptions& options, const Shoot& shoot, const Silhouettes& masks, Progress& progress);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -8,7 +8,7 @@
 #include "pipeline/stages/color.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace {
 
@@ -97,4 +97,4 @@ MeshMade ExtractMesh::load(const Slot& slot) const {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

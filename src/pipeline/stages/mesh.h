@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct ExtractMesh {
     static constexpr const char* kName = "mesh";
@@ -36,4 +36,4 @@ struct ExtractMesh {
     void color(MeshMade& made, Run& run) const;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -5,7 +5,7 @@
 #include "mask/mask_consensus.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace {
 
@@ -72,4 +72,4 @@ Silhouettes RepairMasks::load(const Slot& slot) const {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

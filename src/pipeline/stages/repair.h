@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct RepairMasks {
     static constexpr const char* kName = "repair";
@@ -26,4 +26,4 @@ struct RepairMasks {
 /// Masks that contradict all others carve all the same: one view may know what no other can. They are named.
 void warn_of_broken_masks(const Shoot& shoot, const Silhouettes& masks, Progress& progress);
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -4,7 +4,7 @@
 #include "pipeline/mesh_store.h"
 #include "vdbcarve/decimate.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
@@ -84,4 +84,4 @@ void Smooth::say(const MeshMade& made, Progress& progress) const {
     if (!made.measures.manifold) progress.warn("the mesh is not a closed manifold");
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

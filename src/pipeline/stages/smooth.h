@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct Smooth {
     static constexpr const char* kName = "smooth";
@@ -35,4 +35,4 @@ struct Smooth {
     MeshMade finished(MeshMade made) const;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

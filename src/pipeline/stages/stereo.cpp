@@ -9,7 +9,7 @@
 #include "stereo/stereo_sheet.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -162,4 +162,4 @@ Surface Stereo::load(const Slot& slot) const {
     return out;
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 struct Stereo {
     static constexpr const char* kName = "stereo";
@@ -41,4 +41,4 @@ struct Stereo {
     nlohmann::json summary(const StereoResult& result, const std::vector<ColorInput>& inputs, Progress& progress) const;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

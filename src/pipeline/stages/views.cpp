@@ -8,7 +8,7 @@
 #include "pipeline/output_check.h"
 #include "base/text.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -161,4 +161,4 @@ void LoadViews::report(const Shoot& shoot, json& report) const {
     report["video"]["file"] = shoot.video_file.string();
 }
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline

@@ -5,7 +5,7 @@
 #include "pipeline/run.h"
 #include "pipeline/values.h"
 
-namespace vdbcarve {
+namespace vdbcarve::pipeline {
 
 /// Cameras are to be found in this run, or are being found.
 bool finds_cameras(const ReconstructOptions& options, const Views& views);
@@ -21,4 +21,4 @@ struct LoadViews {
     void report(const Shoot& shoot, nlohmann::json& report) const;
 };
 
-}  // namespace vdbcarve
+}  // namespace vdbcarve::pipeline
