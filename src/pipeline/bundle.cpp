@@ -13,6 +13,7 @@
 
 #include "base/atomic_file.h"
 #include "image/image_io.h"
+#include "result/result_json.h"
 #include "base/memory.h"
 #include "base/tar_gz.h"
 #include "vdbcarve/backend.h"
@@ -134,7 +135,8 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     archive.add("versions.json", versions());
     add_run(archive, result, options);
 
-    std::vector<fs::path> masks = sorted_files(result / "masks");
+    const bool unfinished = fs::is_directory(result / kUnfinishedMasks);
+    std::vector<fs::path> masks = sorted_files(result / (unfinished ? kUnfinishedMasks : "masks"));
     std::erase_if(masks, [](const fs::path& mask) { return mask.extension() != ".png"; });
     if (masks.empty())
         throw InputError((result / "masks").string() +

@@ -141,6 +141,7 @@ class Parser {
             out.push_back(value(name));
             skip_empty();
             if (peek() == ',') take();
+            else if (done()) refuse(name + ": ']' is missing");
             else if (peek() != ']') refuse(name + ": ',' or ']' is expected");
         }
         take();
@@ -187,7 +188,7 @@ class Parser {
             out += static_cast<char>(code);
         } else {  // UTF-8
             const int more = code < 0x800 ? 1 : code < 0x10000 ? 2 : 3;
-            out += static_cast<char>((0xf00U >> more & 0xffU) | code >> (6 * more));
+            out += static_cast<char>((0xff00U >> (more + 1) & 0xffU) | code >> (6 * more));
             for (int k = more - 1; k >= 0; --k) out += static_cast<char>(0x80U | (code >> (6 * k) & 0x3fU));
         }
     }

@@ -2,6 +2,7 @@
 #include "vdbcarve/option_text.h"
 
 #include <algorithm>
+#include <cstdlib>
 #include <charconv>
 #include <cmath>
 #include <filesystem>
@@ -28,13 +29,10 @@ std::vector<double> numbers(const std::string& option, const std::string& text, 
     std::vector<double> out;
     std::istringstream in(text);
     for (std::string word; std::getline(in, word, separator);) {
-        try {
-            size_t used = 0;
-            out.push_back(std::stod(word, &used));
-            if (used != word.size() || !std::isfinite(out.back())) throw std::invalid_argument(word);
-        } catch (const std::exception&) {
+        char* end = nullptr;
+        out.push_back(std::strtod(word.c_str(), &end));  // std::stod refuses the smallest numbers
+        if (word.empty() || end != word.c_str() + word.size() || !std::isfinite(out.back()))
             throw UsageError(option + " " + text + ": '" + word + "' is not a finite number");
-        }
     }
     if (out.size() != count)
         throw UsageError(option + " " + text + ": " +

@@ -13,6 +13,7 @@
 #include "pipeline/placed_masks.h"
 #include "pipeline/preview.h"
 #include "pipeline/stages/align.h"
+#include "result/result_json.h"
 #include "base/text.h"
 #include "vdbcarve/config.h"
 #include "vdbcarve/mesh.h"
@@ -113,7 +114,15 @@ void write_page(Run& run, const Mesh& mesh) {
 }  // namespace
 
 void show_masks(Run& run, const Silhouettes& masks) {
-    if (!run.is_open() || run.had_result()) return;
+    if (!run.is_open()) return;
+    if (run.had_result()) {
+        const fs::path folder = run.out() / kUnfinishedMasks;
+        fs::remove_all(folder);
+        make_folder(folder);
+        for (size_t i = 0; i < masks.names.size(); ++i)
+            if (!masks.files[i].empty()) place_copy(masks.files[i], folder / masks.names[i]);
+        return;
+    }
     ResultSet set(run.out(), run.out());
     place_masks(set, masks, run.progress());
     set.commit();

@@ -8,7 +8,8 @@
 
 namespace vdbcarve::pipeline {
 
-/// Masks into OUT/masks right away, to be looked at and edited while the run goes on; not where OUT has a result, which stays whole until the run is done.
+/// Masks into OUT/masks right away, to be looked at and edited while the run goes on. Where OUT has a result, which stays whole until the run is done, into
+/// OUT/stages instead.
 void show_masks(Run& run, const Silhouettes& masks);
 
 /// The end of `mask`: masks, and overlays of them on their photographs.

@@ -196,6 +196,15 @@ ReconstructOptions all_other() {
     o.color.options.skip_upright = true;
     o.color.options.exposure_options.per_channel = true;
     o.color.options.exposure_options.noise = 0.3;
+    o.color.options.exposure_options.spread *= 0.5;
+    o.color.options.exposure_options.iterations += 1;
+    StereoOptions& s = o.stereo.options;
+    for (double* value :
+         {&s.least_angle_deg, &s.most_angle_deg, &s.depth_share, &s.truncation_vox, &s.reach_share, &s.coarser_weight, &s.least_weight, &s.least_piece,
+          &s.trust.most_cost, &s.trust.least_contrast, &s.trust.least_margin, &s.trust.agreement_px, &s.trust.normal_deg, &s.trust.rim_px})
+        *value *= 0.9;
+    s.levels = 2;
+    s.passes = 5;
     o.color.options.depth_vox = 9;
     o.color.options.normal_radius_vox = 4;
     o.color.from_photos = true;

@@ -143,7 +143,8 @@ const std::vector<Row> kTable = {
      {"color", "color-occlusion", "paper", "up (set by the job)", "exposure (set by the job)", "per channel (set by the job)", "exposure-noise",
       "exposure-spread", "exposure-iterations", "color-depth", "color-normal-radius"}},
     {"filter", {"filter", "no-volume-repair", "keep-thin"}},
-    {"mesh", {"mesher", "normals", "adaptivity", "min-piece", "color-source"}},
+    // A limit cuts the mesher's grid into slabs, and vertices come in another order.
+    {"mesh", {"memory-limit", "mesher", "normals", "adaptivity", "min-piece", "color-source"}},
     {"smooth", {"quads", "smooth", "iterations (set by the job)", "smooth-lambda", "smooth-mu", "faces", "max-error"}},
     // What they change is among a stage's inputs (views, a video's frames), runs a stage or leaves it out, or is looked at after the last stage.
     {"",
