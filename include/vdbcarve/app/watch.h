@@ -31,7 +31,7 @@ void visit(O& o, V& v) {
     v.not_in_key(Option{"until", "end when the result is of this many views (0: go on)", "Watch", in::kWatch}, o.until_views, at_least(0));
     v.not_in_key(Option{"idle", "end when nothing has changed for this many seconds (0: go on until Ctrl-C)", "Watch", in::kWatch}, o.idle_s, at_least(0));
     v.not_in_key(Option{"settle", "a file that did not change for this many seconds is complete", "Watch", in::kWatch}, o.settle_s, at_least(0));
-    v.ignore(o.reconstruct, o.poll_s, o.on_result);
+    v.ignore(o.reconstruct, o.poll_s, o.on_result, o.now_s, o.sleep_s);
 }
 
 /// Calls reconstruct() whenever photographs, masks or the camera file have changed, with views.added = {the scene}: bounds and voxels are those of the first
