@@ -44,32 +44,41 @@ std::vector<fs::path> edited_masks(const fs::path& output, const std::vector<std
     return edited;
 }
 
+void refuse_foreign_masks(const fs::path& output, const Silhouettes& masks) {
+    const fs::path folder = output / "masks";
+    const json written = parse_or_empty(folder / kWritten);
+    std::vector<std::string> foreign;
+    for (size_t i = 0; i < masks.names.size(); ++i) {
+        const fs::path to = folder / masks.names[i];
+        if (!masks.edited[i].empty() || masks.files[i].empty() || !ours(written, masks.names[i]).empty()) continue;
+        if (fs::exists(to) && sha256_of_file(to) != sha256_of_file(masks.files[i])) foreign.push_back(to.string());
+    }
+    if (!foreign.empty())
+        throw OutputError(some_of(foreign) + ": not written by vdbcarve, and the run's own mask would replace it. Remedy: another -o, or move " +
+                          (foreign.size() == 1 ? "it" : "them") + " away (with --masks, masks of yours are used); --force does not allow this");
+}
+
 void place_masks(ResultSet& set, const Silhouettes& masks, Progress& progress) {
     if (masks.names.empty()) return;
+    refuse_foreign_masks(set.place(), masks);
     const fs::path folder = set.place() / "masks";
     json written = parse_or_empty(folder / kWritten);
     const fs::path note = set.make(fs::path("masks") / kWritten);  // in place before the masks are
-    std::vector<std::string> foreign;
     for (size_t i = 0; i < masks.names.size(); ++i) {
         if (!masks.edited[i].empty() || masks.files[i].empty()) continue;
         const fs::path to = folder / masks.names[i];
         const std::string hash = sha256_of_file(masks.files[i]), there = fs::exists(to) ? sha256_of_file(to) : std::string();
-        std::vector<std::string> known = ours(written, masks.names[i]);
+        const std::vector<std::string> known = ours(written, masks.names[i]);
         if (there == hash) {
-            if (known.empty()) written[masks.names[i]] = {hash};  // the note was lost
-        } else if (!there.empty() && known.empty()) {
-            foreign.push_back(to.string());
+            if (known.empty()) written[masks.names[i]] = json::array({hash});  // the note was lost
         } else if (!there.empty() && std::find(known.begin(), known.end(), there) == known.end()) {
             progress.warn(to.string() + ": was edited while this run went on, which does not use it. Remedy: the same command again");
         } else {
             set.copy(masks.files[i], fs::path("masks") / masks.names[i]);
             // The one before is still ours, should a run end between the note and the copy.
-            written[masks.names[i]] = known.empty() ? json{hash} : json{known.back(), hash};
+            written[masks.names[i]] = known.empty() ? json::array({hash}) : json::array({known.back(), hash});
         }
     }
-    if (!foreign.empty())
-        throw OutputError(some_of(foreign) + ": not written by vdbcarve, and the run's own mask would replace it. Remedy: another -o, or move " +
-                          (foreign.size() == 1 ? "it" : "them") + " away (with --masks, masks of yours are used); --force does not allow this");
     write_file(note, written.dump(1) + "\n");
 }
 

@@ -65,7 +65,8 @@ bool draw_alignment(ResultSet& set, const fs::path& file, Run& run, const Shoot&
         set.remove(file);
         return false;
     }
-    const std::vector<double>& residual = shoot.alignment->residual_px;
+    // Cameras of a file that are used as they are have no residuals.
+    const std::vector<double> residual = shoot.alignment ? shoot.alignment->residual_px : std::vector<double>(shoot.views.views.size());
     std::vector<size_t> worst = masks.used;
     std::stable_sort(worst.begin(), worst.end(), [&](size_t a, size_t b) { return residual[a] > residual[b]; });
     worst.resize(std::min(worst.size(), kMostTiles));
@@ -80,7 +81,7 @@ void place_alignment(ResultSet& set, Run& run, const Shoot& shoot, const Silhoue
     place_align_pictures(set, shoot);
     if (masks.used.empty()) return set.remove("preview.png");  // found without masks: there is no hull to be shown
     const bool shown = draw_alignment(set, "preview.png", run, shoot, masks);
-    if (shoot.views.unverified.empty() || shoot.alignment->other_cameras.empty()) return;
+    if (shoot.views.unverified.empty() || !shoot.alignment || shoot.alignment->other_cameras.empty()) return;
     Shoot other = shoot;
     other.views = other_direction(shoot);
     const std::string turned = shoot.alignment->direction, opposite = turned == "cw" ? "ccw" : "cw";
@@ -115,6 +116,7 @@ void write_page(Run& run, const Mesh& mesh) {
 
 void show_masks(Run& run, const Silhouettes& masks) {
     if (!run.is_open()) return;
+    refuse_foreign_masks(run.out(), masks);  // now, not when everything else is done
     if (run.had_result()) {
         const fs::path folder = run.out() / kUnfinishedMasks;
         fs::remove_all(folder);
@@ -171,9 +173,9 @@ Reconstruction publish(Run& run, const Shoot& shoot, const Silhouettes& masks, c
 Reconstruction publish(Run& run, const Made& made) {
     const ReconstructOptions& options = run.options();
     ResultSet set(run.out(), run.out());
-    place_masks(set, made.masks, run.progress());
     const Exported exported = run(Export{options, made, set});
-    set.remove("report.html");  // of another result
+    place_masks(set, made.masks, run.progress());  // last: what was edited meanwhile is left alone
+    set.remove("report.html");                     // of another result
     clear_unverified(set, kUnverified);
     Reconstruction out = finish(run, &set, made.shoot, made.masks.used.size(), made.hull.backend, made.kept);
     out.mesh = made.mesh.measures;
