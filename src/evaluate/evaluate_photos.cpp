@@ -137,8 +137,7 @@ std::vector<PhotoComparison> compare_photos(const Mesh& mesh, const Views& views
         }
         out[i].agreement = compare_photo(rendered, view_of(photo), view_of(mask));
         if (options.save.empty()) continue;
-        const auto png = io::encode_png(side_by_side(rendered, view_of(photo)));
-        write_file(options.save / pictures[i], png.data(), png.size());
+        io::write_png(options.save / pictures[i], side_by_side(rendered, view_of(photo)));
     }
     return out;
 }

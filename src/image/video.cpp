@@ -251,8 +251,7 @@ void write_frames(const fs::path& file, const fs::path& folder, const VideoFrame
         tbb::parallel_for(size_t{0}, pictures.size(), [&](size_t i) {
             cv::Mat rgb;
             cv::cvtColor(pictures[i], rgb, cv::COLOR_BGR2RGB);
-            const auto png = io::encode_png(io::unwrap(rgb));
-            write_file(folder / out.frames[written + i].name, png.data(), png.size());
+            io::write_png(folder / out.frames[written + i].name, io::unwrap(rgb));
             progress.step();
         });
         written += pictures.size();

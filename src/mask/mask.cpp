@@ -100,10 +100,7 @@ Image8 mask_of_command(const View& view, const MaskOptions& options, Progress& p
         if (fs::is_regular_file(known)) return io::read_image8(known);
     }
     const Image8 made = mask_by_command(words, view.image_path, folder, progress);
-    if (!known.empty()) {
-        const std::vector<uint8_t> png = io::encode_png(made);
-        write_file(known, png.data(), png.size());
-    }
+    if (!known.empty()) io::write_png(known, made);
     return made;
 }
 

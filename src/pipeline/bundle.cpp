@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <opencv2/core/version.hpp>
 #include <thread>
@@ -84,9 +85,8 @@ void add_run(TarGz& archive, const fs::path& result, const BundleOptions& option
 }
 
 /// A mask, and the view that it is of (or null): its camera without lens, and its photograph. The view is changed to what the archive has of it.
-void add_view(TarGz& archive, const fs::path& mask_file, View* view, const BundleOptions& options, Progress& progress) {
+void add_view(TarGz& archive, const std::string& name, const fs::path& mask_file, View* view, const BundleOptions& options, Progress& progress) {
     Image8 mask = io::read_image8(mask_file);
-    const std::string name = mask_file.filename().string();
     const double factor = options.width_px > 0 ? std::min(1.0, static_cast<double>(options.width_px) / mask.width) : 1.0;
     int width = static_cast<int>(std::lround(factor * mask.width)), height = static_cast<int>(std::lround(factor * mask.height));
     const Camera as_it_is = view ? view->camera : Camera();
@@ -102,7 +102,7 @@ void add_view(TarGz& archive, const fs::path& mask_file, View* view, const Bundl
         view->image_path.clear();
         try {
             const auto jpeg = io::encode_jpeg(smaller(load_photo8(whole)).view(), 88, 0);
-            view->image_path = "images/" + mask_file.stem().string() + ".jpg";
+            view->image_path = "images/" + fs::path(name).stem().string() + ".jpg";
             archive.add("scene/" + view->image_path.string(), {reinterpret_cast<const char*>(jpeg.data()), jpeg.size()});
         } catch (const InputError& e) {
             progress.note(std::string("without a photograph: ") + e.what());
@@ -116,6 +116,17 @@ void add_view(TarGz& archive, const fs::path& mask_file, View* view, const Bundl
         view->orientation = 1;
         view->name = view->image_path.string();
     }
+}
+
+/// Files by their name in OUT/masks.
+std::map<std::string, fs::path> masks_of_last_run(const fs::path& result) {
+    std::map<std::string, fs::path> out;
+    for (const auto& [name, where] : parse_or_empty(result / kUnfinishedMasks).items())
+        if (where.is_string()) out[name] = result / where.get<std::string>();
+    if (out.empty())
+        for (const fs::path& mask : sorted_files(result / "masks"))
+            if (mask.extension() == ".png") out[mask.filename().string()] = mask;
+    return out;
 }
 
 }  // namespace
@@ -135,9 +146,7 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     archive.add("versions.json", versions());
     add_run(archive, result, options);
 
-    const bool unfinished = fs::is_directory(result / kUnfinishedMasks);
-    std::vector<fs::path> masks = sorted_files(result / (unfinished ? kUnfinishedMasks : "masks"));
-    std::erase_if(masks, [](const fs::path& mask) { return mask.extension() != ".png"; });
+    const std::map<std::string, fs::path> masks = masks_of_last_run(result);
     if (masks.empty())
         throw InputError((result / "masks").string() +
                          ": holds no masks: the run ended before there were any. Remedy: send config.toml and what the program said");
@@ -152,10 +161,10 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
     }
     progress.begin("bundle", masks.size() + 1);
     std::vector<View> kept;
-    for (const fs::path& mask_file : masks) {
-        const auto found = std::find(names.begin(), names.end(), mask_file.filename().string());
+    for (const auto& [name, mask_file] : masks) {
+        const auto found = std::find(names.begin(), names.end(), name);
         View* view = found == names.end() ? nullptr : &views.views[static_cast<size_t>(found - names.begin())];
-        add_view(archive, mask_file, view, options, progress);
+        add_view(archive, name, mask_file, view, options, progress);
         if (view) kept.push_back(*view);
         progress.step();
     }

@@ -118,12 +118,10 @@ void show_masks(Run& run, const Silhouettes& masks) {
     if (!run.is_open()) return;
     refuse_foreign_masks(run.out(), masks);  // now, not when everything else is done
     if (run.had_result()) {
-        const fs::path folder = run.out() / kUnfinishedMasks;
-        fs::remove_all(folder);
-        make_folder(folder);
+        json where = json::object();
         for (size_t i = 0; i < masks.names.size(); ++i)
-            if (!masks.files[i].empty()) place_copy(masks.files[i], folder / masks.names[i]);
-        return;
+            if (!masks.files[i].empty()) where[masks.names[i]] = masks.files[i].lexically_relative(run.out()).generic_string();
+        return write_file(run.out() / kUnfinishedMasks, where.dump(1) + "\n");
     }
     ResultSet set(run.out(), run.out());
     place_masks(set, masks, run.progress());

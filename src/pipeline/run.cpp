@@ -36,7 +36,7 @@ void Run::open(const fs::path& folder) {
     for (const char* place : {"", "stages", "masks", "depth", "overlays", kUnverified}) remove_left_overs(output / place);
     store_->remove_unfinished();
     fs::remove(store_->folder() / "cameras.json");
-    fs::remove_all(output / kUnfinishedMasks);
+    fs::remove(output / kUnfinishedMasks);
     mark_as_ours();
     // A finished result keeps its configuration until the new one is finished too.
     if (!had_result_) write_file(output / "config.toml", config_text(o_));
@@ -87,7 +87,7 @@ void Run::leave_failure(const Error& e) const {
 
 void Run::forget_failure() const {
     for (const char* gone : {"failure.json", "failure.toml"}) fs::remove(store_->folder() / gone);
-    fs::remove_all(out() / kUnfinishedMasks);
+    fs::remove(out() / kUnfinishedMasks);
 }
 
 json Run::finished_report(const Views& views) const {

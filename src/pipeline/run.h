@@ -34,9 +34,9 @@ namespace vdbcarve::pipeline {
 ///   Key key() const;                         everything that the result depends on
 ///   void save(Slot&, const Result&) const;   payload files and note
 ///   Result load(const Slot&) const;          throws where something is missing: then the stage is run again
-///   static constexpr bool kReadBack = true;  the next stage gets what load() reads, also when it was just made: files round, and a run that goes on later must
-///   see the same static constexpr bool kNamesItself = true;  run() and load() set the result's key themselves size_t warnings_before() const; warnings since
-///   then belong to it, too
+///   static constexpr bool kReadBack = true;  the next stage gets what load() reads, also just after run(): files round values
+///   static constexpr bool kNamesItself = true;  run() and load() set the result's key themselves
+///   size_t warnings_before() const;          warnings since then belong to it, too
 template <class S>
 concept KeptStage = requires(const S& stage, const Slot& slot) {
     stage.key();
@@ -60,6 +60,10 @@ class Run {
         reused_ = before;
         return result;
     }
+
+    /// The result of a stage that is done already. None where it is not there, or is damaged; `warnings`: what it warned of.
+    template <KeptStage S>
+    std::optional<typename S::Result> find(const S& stage, const std::string& key, std::vector<std::string>* warnings = nullptr);
 
     /// Runs the whole job. Where it ends in an error, OUT/stages/failure.json says which, for whoever looks into it later.
     template <class Work>
@@ -99,7 +103,6 @@ class Run {
     nlohmann::json finished_report(const Views& views) const;
     /// Warnings of this run since `before` of them.
     std::vector<std::string> warnings_since(size_t before) const;
-    size_t warnings_at_start() const { return warnings_at_start_; }
     void forget_failure() const;
 
     /// Grids that lie on the device as they are here.
@@ -158,6 +161,22 @@ typename S::Result Run::operator()(S stage) {
     return result;
 }
 
+template <KeptStage S>
+std::optional<typename S::Result> Run::find(const S& stage, const std::string& key, std::vector<std::string>* warnings) {
+    std::optional<typename S::Result> found;
+    const std::optional<Slot> slot = store_ ? store_->find(S::kName, key) : std::nullopt;
+    if (!slot) return found;
+    try {
+        found.emplace(stage.load(*slot));
+    } catch (const nlohmann::json::exception&) {
+        return found;  // as good as not there
+    } catch (const InputError&) {
+        return found;
+    }
+    if (warnings) *warnings = slot->warnings;
+    return found;
+}
+
 template <class S>
 typename S::Result Run::keep(S& stage) {
     if constexpr (requires { stage.prepare(*this); }) stage.prepare(*this);
@@ -170,20 +189,12 @@ typename S::Result Run::keep(S& stage) {
             name<S>(made, key);
             return made;
         }
-        if (const auto slot = store_->find(S::kName, key)) {
-            std::optional<typename S::Result> found;
-            try {
-                found.emplace(stage.load(*slot));
-            } catch (const nlohmann::json::exception&) {
-                // As good as not there.
-            } catch (const InputError&) {
-            }
-            if (found) {
-                for (const std::string& warning : slot->warnings) progress_.warn(warning);
-                say_reused();
-                name<S>(*found, key);
-                return std::move(*found);
-            }
+        std::vector<std::string> warnings;
+        if (auto found = find(stage, key, &warnings)) {
+            for (const std::string& warning : warnings) progress_.warn(warning);
+            say_reused();
+            name<S>(*found, key);
+            return std::move(*found);
         }
         size_t before = progress_.warnings().size();
         if constexpr (requires { stage.warnings_before(); }) before = stage.warnings_before();

@@ -21,54 +21,6 @@ namespace {
 constexpr const char* kNote = "note.json";
 constexpr const char* kPart = ".part";
 
-struct Payload {
-    std::string name;  ///< in the slot's folder, with '/'
-    uintmax_t bytes = 0;
-    std::string sha256;
-};
-
-/// What a note file holds, where it is whole.
-struct StoredNote {
-    json note;
-    std::vector<std::string> warnings;
-    std::vector<Payload> payloads;
-};
-
-std::optional<StoredNote> read_note(const fs::path& folder) {
-    try {
-        std::ifstream in(folder / kNote);
-        if (!in) return std::nullopt;
-        const json whole = json::parse(in);
-        const json& said = whole.at("said");
-        Sha256 hash;
-        if (hash.add(said.dump()).hex() != whole.at("sha256").get<std::string>()) return std::nullopt;
-        StoredNote out{said.at("note"), said.at("warnings").get<std::vector<std::string>>(), {}};
-        for (const auto& [name, file] : said.at("files").items())
-            out.payloads.push_back({name, file.at("bytes").get<uintmax_t>(), file.at("sha256").get<std::string>()});
-        return out;
-    } catch (const json::exception&) {
-        return std::nullopt;  // damaged
-    }
-}
-
-bool is_whole(const fs::path& folder, const std::vector<Payload>& payloads) {
-    std::atomic<bool> whole{true};
-    tbb::parallel_for(size_t{0}, payloads.size(), [&](size_t i) {
-        const fs::path file = folder / payloads[i].name;
-        std::error_code error;
-        if (!whole || fs::file_size(file, error) != payloads[i].bytes || error) {
-            whole = false;
-            return;
-        }
-        try {
-            if (sha256_of_file(file) != payloads[i].sha256) whole = false;
-        } catch (const InputError&) {
-            whole = false;
-        }
-    });
-    return whole;
-}
-
 }  // namespace
 
 fs::path Store::folder_of(const std::string& stage, const std::string& key) {
@@ -77,30 +29,59 @@ fs::path Store::folder_of(const std::string& stage, const std::string& key) {
     return folder_ / name;
 }
 
+std::optional<Slot> Store::read(const fs::path& folder) {
+    try {
+        std::ifstream in(folder / kNote);
+        if (!in) return std::nullopt;
+        const json whole = json::parse(in);
+        const json& said = whole.at("said");
+        Sha256 hash;
+        if (hash.add(said.dump()).hex() != whole.at("sha256").get<std::string>()) return std::nullopt;
+        Slot out;
+        out.folder_ = out.final_ = folder;
+        out.note = said.at("note");
+        out.warnings = said.at("warnings").get<std::vector<std::string>>();
+        for (const auto& [name, file] : said.at("files").items())
+            out.payloads_.push_back({name, file.at("bytes").get<uintmax_t>(), file.at("sha256").get<std::string>()});
+        return out;
+    } catch (const json::exception&) {
+        return std::nullopt;
+    }
+}
+
+bool Slot::holds(const std::vector<Payload>& payloads) const {
+    std::atomic<bool> whole{true};
+    tbb::parallel_for(size_t{0}, payloads.size(), [&](size_t i) {
+        std::error_code error;
+        if (!whole || fs::file_size(file(payloads[i].name), error) != payloads[i].bytes || error) {
+            whole = false;
+            return;
+        }
+        try {
+            if (sha256_of_file(file(payloads[i].name)) != payloads[i].sha256) whole = false;
+        } catch (const InputError&) {
+            whole = false;
+        }
+    });
+    return whole;
+}
+
 bool Store::is_whole(const Slot& slot) const {
     const std::string name = slot.folder_.filename().string();
     if (whole_.count(name)) return true;
-    const auto note = read_note(slot.folder_);
-    if (!note || !pipeline::is_whole(slot.folder_, note->payloads)) return false;
+    if (!slot.holds(slot.payloads_)) return false;
     whole_.insert(name);
     return true;
 }
 
 bool Store::is_whole(const Slot& slot, const std::string& name) const {
-    const auto note = read_note(slot.folder_);
-    if (!note) return false;
-    const auto found = std::find_if(note->payloads.begin(), note->payloads.end(), [&](const Payload& p) { return p.name == name; });
-    return found != note->payloads.end() && pipeline::is_whole(slot.folder_, {*found});
+    const auto found = std::find_if(slot.payloads_.begin(), slot.payloads_.end(), [&](const Slot::Payload& p) { return p.name == name; });
+    return found != slot.payloads_.end() && slot.holds({*found});
 }
 
 std::optional<Slot> Store::find(const std::string& stage, const std::string& key) {
-    Slot slot;
-    slot.folder_ = slot.final_ = folder_of(stage, key);
-    auto note = read_note(slot.folder_);
-    if (!note || !is_whole(slot)) return std::nullopt;
-    slot.note = std::move(note->note);
-    slot.warnings = std::move(note->warnings);
-    return slot;
+    auto slot = read(folder_of(stage, key));
+    return slot && is_whole(*slot) ? std::move(slot) : std::nullopt;
 }
 
 Slot Store::begin(const std::string& stage, const std::string& key) {
@@ -113,12 +94,13 @@ Slot Store::begin(const std::string& stage, const std::string& key) {
 }
 
 void Store::commit(Slot& slot) {
-    std::vector<Payload> payloads;
+    std::vector<Slot::Payload>& payloads = slot.payloads_;
+    payloads.clear();
     for (const auto& entry : fs::recursive_directory_iterator(slot.folder_))
         if (entry.is_regular_file()) payloads.push_back({fs::relative(entry.path(), slot.folder_).generic_string(), entry.file_size(), {}});
     tbb::parallel_for(size_t{0}, payloads.size(), [&](size_t i) { payloads[i].sha256 = sha256_of_file(slot.folder_ / payloads[i].name); });
     json files = json::object();
-    for (const Payload& p : payloads) files[p.name] = {{"bytes", p.bytes}, {"sha256", p.sha256}};
+    for (const Slot::Payload& p : payloads) files[p.name] = {{"bytes", p.bytes}, {"sha256", p.sha256}};
     const json said{{"note", slot.note}, {"warnings", slot.warnings}, {"files", files}};
     Sha256 hash;
     write_file(slot.folder_ / kNote, json{{"said", said}, {"sha256", hash.add(said.dump()).hex()}}.dump(1) + "\n");
@@ -135,12 +117,7 @@ std::vector<Slot> Store::all(const std::string& stage) const {
     std::error_code not_there;
     for (const auto& entry : fs::directory_iterator(folder_, not_there)) {
         if (entry.path().filename().string().rfind(stage + "-", 0) != 0) continue;
-        auto note = read_note(entry.path());
-        if (!note) continue;
-        Slot& slot = out.emplace_back();
-        slot.folder_ = slot.final_ = entry.path();
-        slot.note = std::move(note->note);
-        slot.warnings = std::move(note->warnings);
+        if (auto slot = read(entry.path())) out.push_back(std::move(*slot));
     }
     std::sort(out.begin(), out.end(), [](const Slot& a, const Slot& b) { return a.folder_ < b.folder_; });
     return out;

@@ -25,7 +25,16 @@ class Slot {
 
   private:
     friend class Store;
+    struct Payload {
+        std::string name;  ///< in the folder, with '/'
+        uintmax_t bytes = 0;
+        std::string sha256;
+    };
+    /// All of these payloads are there and are what the note says of them.
+    bool holds(const std::vector<Payload>& payloads) const;
+
     std::filesystem::path folder_, final_;
+    std::vector<Payload> payloads_;  ///< of a finished stage
 };
 
 class Store {
@@ -54,6 +63,8 @@ class Store {
 
   private:
     std::filesystem::path folder_of(const std::string& stage, const std::string& key);
+    /// What the note in a finished stage's folder says; none where it is missing or damaged.
+    static std::optional<Slot> read(const std::filesystem::path& folder);
 
     std::filesystem::path folder_;
     std::set<std::string> asked_for_;

@@ -12,6 +12,22 @@ namespace vdbcarve::pipeline {
 
 using nlohmann::json;
 
+json statistics_json(const CarveStatistics& s) {
+    return {{"active_voxels", s.active_voxels}, {"leaves", s.leaves}, {"bytes", s.bytes}, {"node_tests", s.node_tests}, {"voxel_lookups", s.voxel_lookups},
+            {"clipped_share", s.clipped_share}};
+}
+
+CarveStatistics statistics_of(const json& j) {
+    CarveStatistics s;
+    s.active_voxels = j.at("active_voxels");
+    s.leaves = j.at("leaves");
+    s.bytes = j.at("bytes");
+    s.node_tests = j.at("node_tests");
+    s.voxel_lookups = j.at("voxel_lookups");
+    s.clipped_share = j.at("clipped_share");
+    return s;
+}
+
 void to_json(json& j, const GridFacts& g) {
     j = {{"dims", g.dims},
          {"voxel_size", g.voxel_size},
@@ -29,13 +45,7 @@ void to_json(json& j, const GridFacts& g) {
                   {"expected_field_bytes", std::llround(g.expected->field_bytes)},
                   {"expected_peak_bytes", std::llround(g.expected->peak_bytes)},
                   {"memory_limit_bytes", std::llround(g.expected->limit_bytes)}});
-    if (g.statistics)
-        j.update({{"active_voxels", g.statistics->active_voxels},
-                  {"leaves", g.statistics->leaves},
-                  {"bytes", g.statistics->bytes},
-                  {"node_tests", g.statistics->node_tests},
-                  {"voxel_lookups", g.statistics->voxel_lookups},
-                  {"clipped_share", g.statistics->clipped_share}});
+    if (g.statistics) j.update(statistics_json(*g.statistics));
     if (!g.bricks.empty()) j["bricks"] = g.bricks;
 }
 
@@ -53,15 +63,7 @@ void from_json(const json& j, GridFacts& g) {
     if (j.contains("expected_leaves"))
         g.expected = MemoryExpected{j.at("expected_leaves"), j.at("expected_bytes"), j.at("expected_field_bytes"), j.at("expected_peak_bytes"),
                                     j.at("memory_limit_bytes")};
-    if (j.contains("leaves")) {
-        CarveStatistics& s = g.statistics.emplace();
-        s.active_voxels = j.at("active_voxels");
-        s.leaves = j.at("leaves");
-        s.bytes = j.at("bytes");
-        s.node_tests = j.at("node_tests");
-        s.voxel_lookups = j.at("voxel_lookups");
-        s.clipped_share = j.at("clipped_share");
-    }
+    if (j.contains("leaves")) g.statistics = statistics_of(j);
     if (j.contains("bricks")) g.bricks = j.at("bricks").get<std::vector<std::string>>();
 }
 

@@ -96,6 +96,9 @@ struct GridFacts {
     std::optional<CarveStatistics> statistics;  ///< none: not carved
     std::vector<std::string> bricks;            ///< files of a hull that did not fit whole
 };
+/// What the report says of a carve; the voxels inside are not among it.
+nlohmann::json statistics_json(const CarveStatistics& s);
+CarveStatistics statistics_of(const nlohmann::json& j);
 void to_json(nlohmann::json& j, const GridFacts& g);
 void from_json(const nlohmann::json& j, GridFacts& g);
 

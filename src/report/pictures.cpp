@@ -169,10 +169,7 @@ class PictureRun {
         return out;
     }
 
-    void save(const Image8& image) {
-        const auto png = io::encode_png(image);
-        write_file(request_.output, png.data(), png.size());
-    }
+    void save(const Image8& image) { io::write_png(request_.output, image); }
 
     static Image8 without_alpha(const Image8& p) {
         Image8 out(p.width, p.height, 3);

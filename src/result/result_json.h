@@ -11,8 +11,9 @@ namespace vdbcarve {
 /// In every folder that vdbcarve made, from the first stage of a run on.
 inline constexpr const char* kMarker = "stages/made_by_vdbcarve.json";
 
-/// Masks of a run that OUT's finished result has not made way for yet: should it fail, they are what `bundle` sends.
-inline constexpr const char* kUnfinishedMasks = "stages/unfinished_masks";
+/// Masks of a run that OUT's finished result has not made way for yet, {"file name": "where it lies, from OUT"}: should the run fail, they are what `bundle`
+/// sends.
+inline constexpr const char* kUnfinishedMasks = "stages/unfinished_masks.json";
 
 /// What a file of ours holds; an empty object where it is missing or damaged.
 inline nlohmann::json parse_or_empty(const std::filesystem::path& file) {

@@ -107,8 +107,7 @@ void write_depth_maps(const std::filesystem::path& folder, const std::vector<std
         Image8 confidence(m.confidence.width, m.confidence.height);
         for (size_t p = 0; p < confidence.data.size(); ++p)
             confidence.data[p] = static_cast<uint8_t>(std::lround(255 * std::clamp(m.confidence.data[p], 0.f, 1.f)));
-        const std::vector<uint8_t> png = io::encode_png(confidence.view());
-        write_file(folder / (names[v] + ".confidence.png"), png.data(), png.size());
+        io::write_png(folder / (names[v] + ".confidence.png"), confidence);
     });
 }
 

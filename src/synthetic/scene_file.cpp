@@ -162,10 +162,7 @@ void write_scene(const SyntheticScene& scene, const fs::path& folder) {
     if (!scene.true_masks.empty()) make_folder(folder / "masks_true");
     if (!scene.plates.empty()) make_folder(folder / "plates");
     tbb::parallel_for(size_t{0}, scene.masks.size(), [&](size_t i) {
-        const auto write = [&](const fs::path& file, const Image8& image) {
-            const auto png = io::encode_png(image);
-            write_file(file, png.data(), png.size());
-        };
+        const auto write = [&](const fs::path& file, const Image8& image) { io::write_png(file, image); };
         write(folder / scene.views.views[i].mask_path, scene.masks[i].coverage);
         const View& view = scene.views.views[i];
         if (!scene.plates.empty()) write((folder / "plates" / fs::path(view.name).filename()).replace_extension(".png"), scene.plates[i]);

@@ -26,12 +26,6 @@ namespace {
 
 Progress quiet;
 
-std::vector<MaskView> views_of(const std::vector<Mask>& masks) {
-    std::vector<MaskView> out;
-    for (const Mask& m : masks) out.push_back(view_of(m));
-    return out;
-}
-
 std::vector<Vec3d> points_on(const SyntheticScene& scene) {
     std::vector<Vec3d> out;
     for (size_t v = 0; v < scene.truth.vertices.size(); v += scene.truth.vertices.size() / 200)

@@ -26,12 +26,6 @@ namespace {
 
 Progress quiet;
 
-std::vector<MaskView> views_of(const std::vector<Mask>& masks) {
-    std::vector<MaskView> out;
-    for (const Mask& m : masks) out.push_back(view_of(m));
-    return out;
-}
-
 OrbitModel some_model() {
     std::vector<OrbitView> views(5);
     for (size_t i = 0; i < views.size(); ++i) {

@@ -183,12 +183,6 @@ TEST(MaskCommand, AnotherProgramIsRunOnceForAPhotograph) {
     EXPECT_NE(error_of(ExitCode::Input, [&] { s.make(); }).find("could not be started"), std::string::npos);
 }
 
-std::vector<MaskView> views_of(const std::vector<Mask>& masks) {
-    std::vector<MaskView> out;
-    for (const Mask& m : masks) out.push_back(view_of(m));
-    return out;
-}
-
 /// Three masks that are wrong, each in its way.
 std::vector<size_t> break_masks(std::vector<Mask>& masks) {
     Image8& limb = masks[3].coverage;

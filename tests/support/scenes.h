@@ -22,6 +22,12 @@ struct Shoot {
     std::vector<CarveInput> inputs;
 };
 
+inline std::vector<MaskView> views_of(const std::vector<Mask>& masks) {
+    std::vector<MaskView> out;
+    for (const Mask& m : masks) out.push_back(view_of(m));
+    return out;
+}
+
 /// A shoot without photographs; `adjust` may change cameras or masks before distances are taken.
 inline Shoot shoot(const SyntheticSpec& given, const std::function<void(SyntheticScene&)>& adjust = {}) {
     SyntheticSpec spec = given;
@@ -30,9 +36,7 @@ inline Shoot shoot(const SyntheticSpec& given, const std::function<void(Syntheti
     Shoot out;
     out.scene = synthesize(spec, quiet);
     if (adjust) adjust(out.scene);
-    std::vector<MaskView> masks;
-    for (const Mask& m : out.scene.masks) masks.push_back(view_of(m));
-    out.fields = distance_fields(masks, {}, quiet);
+    out.fields = distance_fields(views_of(out.scene.masks), {}, quiet);
     const auto cameras = out.scene.views.cameras();
     for (size_t i = 0; i < cameras.size(); ++i) out.inputs.push_back({out.scene.views.views[i].name, cameras[i], &out.fields[i]});
     return out;

@@ -13,7 +13,6 @@
 namespace vdbcarve::pipeline {
 
 namespace fs = std::filesystem;
-using nlohmann::json;
 
 namespace {
 
@@ -21,28 +20,6 @@ constexpr const char* kHull = "hull.vdb";
 
 /// The multiple of `step` at or below x.
 int down_to(int x, int step) { return (x >= 0 ? x / step : -((step - 1 - x) / step)) * step; }
-
-json note_of(const CarveStatistics& s) {
-    return {{"leaves", s.leaves},
-            {"active_voxels", s.active_voxels},
-            {"bytes", s.bytes},
-            {"node_tests", s.node_tests},
-            {"voxel_lookups", s.voxel_lookups},
-            {"clipped_share", s.clipped_share},
-            {"inside_voxels", s.inside_voxels}};
-}
-
-CarveStatistics statistics_of(const json& note) {
-    CarveStatistics s;
-    s.leaves = note.at("leaves");
-    s.active_voxels = note.at("active_voxels");
-    s.bytes = note.at("bytes");
-    s.node_tests = note.at("node_tests");
-    s.voxel_lookups = note.at("voxel_lookups");
-    s.clipped_share = note.at("clipped_share");
-    s.inside_voxels = note.at("inside_voxels");
-    return s;
-}
 
 }  // namespace
 
@@ -68,9 +45,14 @@ struct CarveBrick {
     }
     void save(Slot& slot, const Result& made) const {
         if (made.statistics.leaves) write_vdb(slot.file(name + ".vdb"), {hull}, metadata_of(whole.shoot, whole.masks, whole.plan.grid.voxel_size));
-        slot.note = note_of(made.statistics);
+        slot.note = statistics_json(made.statistics);
+        slot.note["inside_voxels"] = made.statistics.inside_voxels;
     }
-    Result load(const Slot& slot) const { return {statistics_of(slot.note), slot.file(name + ".vdb")}; }
+    Result load(const Slot& slot) const {
+        Result out{statistics_of(slot.note), slot.file(name + ".vdb")};
+        out.statistics.inside_voxels = slot.note.at("inside_voxels");
+        return out;
+    }
 };
 
 Key Carve::key() const {
@@ -81,17 +63,7 @@ Key Carve::key() const {
     return key;
 }
 
-bool Carve::is_there(Run& run) const {
-    if (!run.is_open()) return false;
-    const auto slot = run.store().find(kName, key().hex());
-    try {
-        return slot && (load(*slot), true);
-    } catch (const json::exception&) {
-        return false;
-    } catch (const InputError&) {
-        return false;
-    }
-}
+bool Carve::is_there(Run& run) const { return run.find(*this, key().hex()).has_value(); }
 
 Hull Carve::run(Run& run) {
     Hull made = with_advice(options, shoot, [&] {

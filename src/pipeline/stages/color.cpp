@@ -70,7 +70,7 @@ Colors Color::run(Run& run) {
     const ColorOptions here = color_options(options, shoot, masks, surface, run);
     ColorResult result;
     try {
-        const bool done = run.on_gpu() && run.device().run("color", [&](Device& device) {
+        const bool done = run.device().run("color", [&](Device& device) {
             if (!run.is_on_device(surface.grid)) device.set_surface(*surface.grid);
             run.set_on_device(surface.grid);
             ColorOptions there = here;

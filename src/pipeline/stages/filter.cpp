@@ -50,7 +50,7 @@ Surface Filter::passed() {
 Surface Filter::run(Run& run) {
     Surface made = std::move(surface);
     FilterResult result;
-    const bool done = run.on_gpu() && run.device().run("filter", [&](Device& device) {
+    const bool done = run.device().run("filter", [&](Device& device) {
         if (!run.is_on_device(made.grid)) device.set_surface(*made.grid);
         run.forget_device_grid();  // until it is whole again
         result = device.filter(filter_, run.progress());

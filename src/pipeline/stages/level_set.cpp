@@ -46,7 +46,7 @@ openvdb::FloatGrid::Ptr LevelSet::redistance(Run& run) {
     }
     if (!hull.level) hull.level = read_float_grid(hull.file, "hull");
     openvdb::FloatGrid::Ptr surface;
-    const bool done = run.on_gpu() && run.device().run("level_set", [&](Device& device) {
+    const bool done = run.device().run("level_set", [&](Device& device) {
         if (!run.is_on_device(hull.level)) device.set_hull(*hull.level);
         device.level_set(level);
         surface = device.surface();

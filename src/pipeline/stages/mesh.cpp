@@ -46,7 +46,7 @@ MeshMade ExtractMesh::run(Run& run) {
     if (slabs_ > 1) progress.note("the mesh is made in " + std::to_string(slabs_) + " slabs, to stay within the memory limit");
     MeshMade made;
     bool meshed = false;
-    const bool done = run.on_gpu() && wanted.mesher == Mesher::MarchingCubes && run.device().run("mesh", [&](Device& device) {
+    const bool done = wanted.mesher == Mesher::MarchingCubes && run.device().run("mesh", [&](Device& device) {
         if (!run.is_on_device(surface.grid)) device.set_surface(*surface.grid);
         run.set_on_device(surface.grid);
         meshed = device.extract_mesh(wanted.normals);

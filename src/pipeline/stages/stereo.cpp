@@ -61,7 +61,7 @@ Surface Stereo::run(Run& run) {
     const std::vector<ColorInput> inputs = color_inputs(shoot, masks, options.color.leave_out);
     Photographs photographs(shoot, masks, run.progress());
     hull_ = surface.grid;
-    const bool done = run.on_gpu() && run.device().run("stereo", [&](Device& device) {
+    const bool done = run.device().run("stereo", [&](Device& device) {
         if (!run.is_on_device(hull_)) device.set_surface(*hull_);
         run.forget_device_grid();  // until it is whole again
         result_ = device.stereo(*hull_, inputs, photographs.source(), stereo_, run.progress());
