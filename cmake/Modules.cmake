@@ -1,4 +1,4 @@
-# vdbcarve_module(NAME SOURCES… [API…] [SHARED…] [PUBLIC…] [PRIVATE…] [LIBRARIES…] [INSTRUCTION_SETS…] [OPENVDB]): the sources of src/NAME become objects of the
+# vdbcarve_module(NAME SOURCES… [API…] [SHARED…] [PUBLIC…] [PRIVATE…] [LIBRARIES…] [OPENVDB]): the sources of src/NAME become objects of the
 # library. What it may include is what its links hand to it, and nothing else is on its include path:
 #   API        headers of include/vdbcarve that belong to this module
 #   SHARED     headers of src/NAME that other modules may include, as "NAME/x.h"; all others are private

@@ -4,7 +4,7 @@
 //
 //   template <OptionsOf<GridOptions> O, class V>
 //   void visit(O& o, V& v) {
-//       v(Option{"resolution", "voxels along the longest side of the bounds", "Grid", in::kCarving}, o.resolution, within(1, 65536).or_unset(0));
+//       v(Option{"resolution", "voxels along the longest side of the bounds", "Grid", in::kCarving}, o.resolution, above(0).or_unset(0));
 //   }
 //
 // A visitor has these members, M being a member of the struct or a const one:

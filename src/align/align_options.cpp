@@ -85,7 +85,7 @@ void check_align_options(const AlignOptions& o, const Views& scene, size_t masks
     need(o.angles_deg.empty() || (o.arc_known && o.arc_deg == AlignOptions().arc_deg),
          "--angles say how far the object turned: --arc would say it again. Remedy: one of them");
     need(o.arc_deg >= 20 && o.arc_deg <= 3600, text_of("--arc: %g degrees, must be 20..3600", o.arc_deg));
-    need(o.fov_deg >= 0 && o.fov_deg < 170, text_of("--fov: %g degrees, must be within 0..170", o.fov_deg));
+    need(o.fov_deg == 0 || (o.fov_deg >= 1 && o.fov_deg <= 169), text_of("--fov: %g degrees, must be within 1..169", o.fov_deg));
     if (o.principal_point_px && views > 0) {
         const Intrinsics& k = scene.views.front().camera.intrinsics;
         const auto near = [](double x, int size) { return size == 0 || std::fabs(x - 0.5 * size) <= size; };  // a crop may leave it outside

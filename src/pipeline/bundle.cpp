@@ -14,6 +14,7 @@
 
 #include "base/atomic_file.h"
 #include "image/image_io.h"
+#include "pipeline/out_folder.h"
 #include "result/result_json.h"
 #include "base/memory.h"
 #include "base/tar_gz.h"
@@ -78,7 +79,7 @@ void add_run(TarGz& archive, const fs::path& result, const BundleOptions& option
     if (fs::exists(result / "stages" / "failure.json"))
         for (const char* name : {"failure.json", "failure.toml", "cameras.json"})
             if (fs::exists(result / "stages" / name)) archive.add(std::string("failure/") + name, read_file(result / "stages" / name));
-    for (const fs::path& left : sorted_files(result / "unverified")) {
+    for (const fs::path& left : sorted_files(result / pipeline::kUnverified)) {
         const bool shows_photographs = left.extension() == ".png" && left.filename() != "energy_map.png";
         if (options.photos || !shows_photographs) archive.add("unverified/" + left.filename().string(), read_file(left));
     }
@@ -121,7 +122,8 @@ void add_view(TarGz& archive, const std::string& name, const fs::path& mask_file
 /// Files by their name in OUT/masks.
 std::map<std::string, fs::path> masks_of_last_run(const fs::path& result) {
     std::map<std::string, fs::path> out;
-    for (const auto& [name, where] : parse_or_empty(result / kUnfinishedMasks).items())
+    const json named = parse_or_empty(result / kUnfinishedMasks);
+    for (const auto& [name, where] : named.items())
         if (where.is_string()) out[name] = result / where.get<std::string>();
     if (out.empty())
         for (const fs::path& mask : sorted_files(result / "masks"))
@@ -136,8 +138,7 @@ size_t bundle(const fs::path& result, const fs::path& file, const BundleOptions&
         throw InputError(result.string() +
                          ": no such folder. Remedy: the folder given to reconstruct as -o; of a run that ended before it made one, what the program said is "
                          "all there is to send");
-    if (!fs::exists(result / "stages" / "made_by_vdbcarve.json"))
-        throw InputError(result.string() + ": was not made by vdbcarve. Remedy: the folder given to reconstruct as -o");
+    if (!fs::exists(result / kMarker)) throw InputError(result.string() + ": was not made by vdbcarve. Remedy: the folder given to reconstruct as -o");
     if (options.width_px < 0) throw UsageError("bundle: masks cannot be " + std::to_string(options.width_px) + " pixels wide");
     const std::string said = file.filename().string();
     if (!said.ends_with(".tar.gz") && !said.ends_with(".tgz")) throw UsageError(file.string() + ": a bundle is a .tar.gz. Remedy: -o NAME.tar.gz");

@@ -103,13 +103,17 @@ void ResultSet::commit() {
     for (const fs::path& name : gone_) {
         fs::remove_all(place_ / name, error);
         if (error) throw OutputError((place_ / name).string() + ": cannot be removed: " + error.message());
-        for (fs::path folder = (place_ / name).parent_path(); folder != place_ && fs::exists(folder); folder = folder.parent_path()) remove_if_empty(folder);
+        for (fs::path folder = name.parent_path(); !folder.empty(); folder = folder.parent_path()) remove_if_empty(place_ / folder);
     }
     std::stable_partition(files_.begin(), files_.end(), [&](const fs::path& name) { return name != report; });
     for (const fs::path& name : files_) {
         if (!fs::exists(part_ / name)) continue;  // asked for, and not written after all
         make_folder((place_ / name).parent_path());
         fs::rename(part_ / name, place_ / name, error);
+        if (error == std::errc::cross_device_link) {  // stages/ or this folder is a link to another disk
+            place_copy(part_ / name, place_ / name);
+            continue;
+        }
         if (error) throw OutputError((place_ / name).string() + ": cannot be put in place: " + error.message());
     }
     fs::remove_all(part_, error);

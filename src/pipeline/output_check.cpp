@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "pipeline/output_check.h"
 
+#include <algorithm>
 #include <map>
 #include <string>
 #include <vector>
@@ -63,7 +64,11 @@ void refuse_foreign_results(const fs::path& output) {
                              "mesh.glb",     "mesh.mtl",    "mesh.obj",    "mesh.ply",       "mesh.stl",   "orbit.svg",   "overlays",
                              "preview.png",  "report.html", "report.json", "stages",         "stereo.png", "unverified",  "volume.vdb"}) {
         const fs::path path = output / name;
-        if (fs::exists(path, error) && !(fs::is_directory(path, error) && fs::is_empty(path, error))) foreign.push_back(path.string());
+        const auto is_empty = [&] {  // but for the lock of a run that was killed before it wrote anything
+            return fs::is_directory(path, error) && std::all_of(fs::directory_iterator(path, error), fs::directory_iterator(),
+                                                                [](const fs::directory_entry& entry) { return entry.path().filename() == "lock"; });
+        };
+        if (fs::exists(path, error) && !is_empty()) foreign.push_back(path.string());
     }
     if (!foreign.empty())
         throw OutputError(some_of(foreign) + ": not made by vdbcarve; --force writes beside other files, never over them. Remedy: another -o, or move " +

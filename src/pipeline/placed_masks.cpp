@@ -79,7 +79,7 @@ void place_masks(ResultSet& set, const Silhouettes& masks, Progress& progress) {
             written[masks.names[i]] = known.empty() ? json::array({hash}) : json::array({known.back(), hash});
         }
     }
-    write_file(note, written.dump(1) + "\n");
+    write_file(note, dumped(written, 1) + "\n");
 }
 
 }  // namespace vdbcarve::pipeline

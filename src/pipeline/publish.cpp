@@ -41,13 +41,15 @@ Reconstruction finish(Run& run, ResultSet* set, const Shoot& shoot, size_t used,
     json report = run.finished_report(shoot.views);
     report["backend"] = backend;
     Reconstruction out;
-    out.report_json = report.dump(1) + "\n";
+    out.report_json = dumped(report, 1) + "\n";
     out.views = used;
     if (!set) return out;
     write_file(set->make("config.toml"), config_text(repeatable(run.options(), kept)));
     write_file(set->make("report.json"), out.report_json);
+    const bool refused = set->place() != run.out();  // then the run goes on to fail
+    if (!refused) set->remove("report.html");        // of another result
     set->commit();
-    run.forget_failure();
+    if (!refused) run.forget_failure();
     return out;
 }
 
@@ -121,7 +123,7 @@ void show_masks(Run& run, const Silhouettes& masks) {
         json where = json::object();
         for (size_t i = 0; i < masks.names.size(); ++i)
             if (!masks.files[i].empty()) where[masks.names[i]] = masks.files[i].lexically_relative(run.out()).generic_string();
-        return write_file(run.out() / kUnfinishedMasks, where.dump(1) + "\n");
+        return write_file(run.out() / kUnfinishedMasks, dumped(where, 1) + "\n");
     }
     ResultSet set(run.out(), run.out());
     place_masks(set, masks, run.progress());
@@ -131,17 +133,18 @@ void show_masks(Run& run, const Silhouettes& masks) {
 Reconstruction publish(Run& run, const Shoot& shoot, const Silhouettes& masks) {
     if (run.dry()) return finish(run, nullptr, shoot, masks.used.size(), "cpu");
     ResultSet set(run.out(), run.out());
-    place_masks(set, masks, run.progress());
     place_overlays(set, run, shoot, masks);
+    place_masks(set, masks, run.progress());
     Reconstruction out = finish(run, &set, shoot, masks.used.size(), "cpu");
     run.progress().note((run.out() / "overlays").string() + " shows the masks over their photographs");
     return out;
 }
 
 Reconstruction publish_cameras(Run& run, const Shoot& shoot, const Silhouettes& masks) {
+    if (run.dry()) return finish(run, nullptr, shoot, masks.used.size(), "cpu");
     ResultSet set(run.out(), run.out());
-    place_masks(set, masks, run.progress());
     place_alignment(set, run, shoot, masks);
+    place_masks(set, masks, run.progress());
     clear_unverified(set, kUnverified);
     return finish(run, &set, shoot, masks.used.size(), "cpu");
 }
@@ -151,8 +154,8 @@ Reconstruction publish(Run& run, const Shoot& shoot, const Silhouettes& masks, c
 Reconstruction publish(Run& run, const Shoot& shoot, const Silhouettes& masks, const std::optional<KeptGrid>& kept, const Hull& hull) {
     const fs::path whole = run.options().carve.occupancy ? "volume.vdb" : "hull.vdb", bricks = "hull_bricks";
     ResultSet set(run.out(), run.out());
-    place_masks(set, masks, run.progress());
     set.remove(bricks);
+    if (run.options().carve.occupancy) set.remove("hull.vdb");
     if (hull.brick_files.empty()) {
         set.copy(hull.file, whole);
     } else {
@@ -162,6 +165,7 @@ Reconstruction publish(Run& run, const Shoot& shoot, const Silhouettes& masks, c
                             ", bricks that share one lattice and do not overlap");
     }
     clear_unverified(set, kUnverified);
+    place_masks(set, masks, run.progress());
     Reconstruction out = finish(run, &set, shoot, masks.used.size(), hull.backend, kept);
     out.added_views = hull.added_views;
     out.extend_seconds = hull.extend_seconds;
@@ -173,7 +177,6 @@ Reconstruction publish(Run& run, const Made& made) {
     ResultSet set(run.out(), run.out());
     const Exported exported = run(Export{options, made, set});
     place_masks(set, made.masks, run.progress());  // last: what was edited meanwhile is left alone
-    set.remove("report.html");                     // of another result
     clear_unverified(set, kUnverified);
     Reconstruction out = finish(run, &set, made.shoot, made.masks.used.size(), made.hull.backend, made.kept);
     out.mesh = made.mesh.measures;
@@ -183,7 +186,8 @@ Reconstruction publish(Run& run, const Made& made) {
     out.added_views = made.hull.added_views;
     out.extend_seconds = made.hull.extend_seconds;
     if (options.result.report) write_page(run, made.mesh.mesh);
-    if (!options.views.added.empty()) run.store().forget_others({"mask", "repair", "carve", "level_set", "stereo", "color", "filter", "mesh", "smooth"});
+    if (!options.views.added.empty())
+        run.store().forget_others({"mask", "align", "floor", "repair", "brick", "carve", "level_set", "stereo", "color", "filter", "mesh", "smooth"});
     return out;
 }
 

@@ -15,8 +15,22 @@ namespace vdbcarve::pipeline {
 namespace fs = std::filesystem;
 using nlohmann::json;
 
+namespace {
+
+/// Paths in OUT are compared: "out/" is "out".
+ReconstructOptions without_trailing_slash(ReconstructOptions options) {
+    fs::path& output = options.run.output;
+    if (!output.has_filename() && output != output.root_path()) output = output.parent_path();
+    return options;
+}
+
+}  // namespace
+
 Run::Run(const ReconstructOptions& options, Progress& progress)
-    : o_(options), progress_(progress), warnings_at_start_(progress.warnings().size()), device_(options.run.backend, options.run.device, progress) {}
+    : o_(without_trailing_slash(options)),
+      progress_(progress),
+      warnings_at_start_(progress.warnings().size()),
+      device_(options.run.backend, options.run.device, progress) {}
 
 void Run::open(const fs::path& folder) {
     folder_ = folder;
@@ -36,7 +50,7 @@ void Run::open(const fs::path& folder) {
     for (const char* place : {"", "stages", "masks", "depth", "overlays", kUnverified}) remove_left_overs(output / place);
     store_->remove_unfinished();
     fs::remove(store_->folder() / "cameras.json");
-    fs::remove(output / kUnfinishedMasks);
+    forget_failure();
     mark_as_ours();
     // A finished result keeps its configuration until the new one is finished too.
     if (!had_result_) write_file(output / "config.toml", config_text(o_));
@@ -44,13 +58,13 @@ void Run::open(const fs::path& folder) {
 
 void Run::forget_new_output() {
     if (!fresh_output_) return;
-    fs::remove(out() / "config.toml");
+    if (!had_result_) fs::remove(out() / "config.toml");
     fs::remove_all(out() / "stages");
     std::error_code others_are_in_it;
     fs::remove(out(), others_are_in_it);
 }
 
-void Run::mark_as_ours() const { write_file(out() / kMarker, json{{"made_by", "vdbcarve"}, {"scene", scene_json()}}.dump() + "\n"); }
+void Run::mark_as_ours() const { write_file(out() / kMarker, dumped(json{{"made_by", "vdbcarve"}, {"scene", scene_json()}}) + "\n"); }
 
 json Run::scene_json() const {
     json out{{"folder", fs::absolute(folder_.empty() ? o_.views.scene : folder_).string()}, {"images", o_.views.images.string()}};
@@ -78,9 +92,9 @@ void Run::leave_failure(const Error& e) const {
     failure["warnings"] = warnings_since(warnings_at_start_);
     failure["scene"] = scene_json();  // for whoever reads it elsewhere
     try {
-        write_file(store_->folder() / "failure.json", failure.dump(1) + "\n");
+        write_file(store_->folder() / "failure.json", dumped(failure, 1) + "\n");
         write_file(store_->folder() / "failure.toml", config_text(o_));
-    } catch (const Error&) {
+    } catch (const std::exception&) {
         // The error itself is what matters.
     }
 }
@@ -119,7 +133,7 @@ void Run::Entry::done() {
     run_.report_["stages"].push_back(entry);
     if (run_.o_.run.on_stage) {
         entry["event"] = "stage";
-        run_.o_.run.on_stage(entry.dump());
+        run_.o_.run.on_stage(dumped(entry));
     }
 }
 

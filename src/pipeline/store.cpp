@@ -9,6 +9,7 @@
 
 #include "base/atomic_file.h"
 #include "base/sha256.h"
+#include "result/result_json.h"
 #include "vdbcarve/error.h"
 
 namespace vdbcarve::pipeline {
@@ -36,7 +37,7 @@ std::optional<Slot> Store::read(const fs::path& folder) {
         const json whole = json::parse(in);
         const json& said = whole.at("said");
         Sha256 hash;
-        if (hash.add(said.dump()).hex() != whole.at("sha256").get<std::string>()) return std::nullopt;
+        if (hash.add(dumped(said)).hex() != whole.at("sha256").get<std::string>()) return std::nullopt;
         Slot out;
         out.folder_ = out.final_ = folder;
         out.note = said.at("note");
@@ -47,6 +48,11 @@ std::optional<Slot> Store::read(const fs::path& folder) {
     } catch (const json::exception&) {
         return std::nullopt;
     }
+}
+
+std::optional<Slot> Slot::beside(const std::string& name) const {
+    auto other = Store::read(folder_.parent_path() / name);
+    return other && other->holds(other->payloads_) ? std::move(other) : std::nullopt;
 }
 
 bool Slot::holds(const std::vector<Payload>& payloads) const {
@@ -103,7 +109,7 @@ void Store::commit(Slot& slot) {
     for (const Slot::Payload& p : payloads) files[p.name] = {{"bytes", p.bytes}, {"sha256", p.sha256}};
     const json said{{"note", slot.note}, {"warnings", slot.warnings}, {"files", files}};
     Sha256 hash;
-    write_file(slot.folder_ / kNote, json{{"said", said}, {"sha256", hash.add(said.dump()).hex()}}.dump(1) + "\n");
+    write_file(slot.folder_ / kNote, dumped(json{{"said", said}, {"sha256", hash.add(dumped(said)).hex()}}, 1) + "\n");
     std::error_code error;
     fs::remove_all(slot.final_, error);
     if (!error) fs::rename(slot.folder_, slot.final_, error);

@@ -19,6 +19,8 @@ class Slot {
     /// Where a file that is being written will lie once the stage is finished.
     std::filesystem::path later(const std::string& name) const { return final_ / name; }
     bool has(const std::string& name) const { return std::filesystem::exists(file(name)); }
+    /// Another finished stage's folder by its name; none where it is not there or anything of it is damaged. Cost: reading its payloads.
+    std::optional<Slot> beside(const std::string& name) const;
 
     nlohmann::json note = nlohmann::json::object();
     std::vector<std::string> warnings;
@@ -62,6 +64,7 @@ class Store {
     void remove_unfinished() const;
 
   private:
+    friend class Slot;
     std::filesystem::path folder_of(const std::string& stage, const std::string& key);
     /// What the note in a finished stage's folder says; none where it is missing or damaged.
     static std::optional<Slot> read(const std::filesystem::path& folder);

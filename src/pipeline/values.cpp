@@ -80,6 +80,14 @@ std::vector<MaskView> used_mask_views(const Shoot& shoot, const Silhouettes& mas
     return out;
 }
 
+void add_photographs(Key& key, const Shoot& shoot, const Silhouettes& masks) {
+    for (const size_t i : masks.used) {
+        const View& view = shoot.views.views[i];
+        key.of(masks.file_hashes[i]).of(view.camera).of(view.orientation).of(view.lens.model);
+        for (const double c : view.lens.coefficients) key.of(c);
+    }
+}
+
 Vec3d up_direction(const Shoot& shoot, const Silhouettes& masks) { return up_direction(shoot.up(), used_cameras(shoot, masks)); }
 
 VdbMetadata metadata_of(const Shoot& shoot, const Silhouettes& masks, double voxel_size) {

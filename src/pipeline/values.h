@@ -14,6 +14,7 @@
 
 #include "carve/carve_plan.h"
 #include "known_hull.h"
+#include "pipeline/key.h"
 #include "pipeline/memory_plan.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/color.h"
@@ -183,6 +184,8 @@ struct MeshMade {
 std::vector<Camera> used_cameras(const Shoot& shoot, const Silhouettes& masks);
 /// Masks by view, of the views that are carved with; the others' are empty.
 std::vector<MaskView> used_mask_views(const Shoot& shoot, const Silhouettes& masks);
+/// What the photographs of the views that are carved with show, and from where.
+void add_photographs(Key& key, const Shoot& shoot, const Silhouettes& masks);
 /// Up as a direction; the axis of the orbit where it is not known.
 Vec3d up_direction(const Shoot& shoot, const Silhouettes& masks);
 /// What .vdb files say of themselves.

@@ -85,6 +85,7 @@ TEST(AlignPipeline, CamerasThatCannotBeTrustedEndTheRunUnlessAccepted) {
     EXPECT_EQ(read_text(f.folder / "out/mesh.ply"), mesh);
     EXPECT_EQ(read_text(f.folder / "out/cameras.json"), cameras);
     EXPECT_EQ(read_text(f.folder / "out/report.json"), report);
+    EXPECT_TRUE(std::filesystem::exists(f.folder / "out/stages/unfinished_masks.json"));  // what `bundle` sends are this run's masks
     for (const char* file : {"preview.png", "cameras.json", "report.json"}) EXPECT_TRUE(std::filesystem::exists(f.folder / "out/unverified" / file)) << file;
     EXPECT_FALSE(nlohmann::json::parse(read_text(f.folder / "out/unverified/report.json"))["align"]["verified"]);
     // Nor are such cameras carved with by another run that does not ask for it.

@@ -72,6 +72,43 @@ TEST(Pipeline, ColoursReachVolumeMeshAndReport) {
     EXPECT_TRUE(read_mesh(job.folder / "out/mesh.ply").colors.empty());
 }
 
+// Which photograph was taken from where is part of what colours depend on, also where the hull does not tell.
+TEST(Pipeline, PhotographsThatChangePlacesGiveOtherColours) {
+    Job job("ellipsoids", true);
+    job.options.carve.max_misses = 2;
+    fs::copy_file(job.folder / "scene/masks/0000.png", job.folder / "scene/masks/0001.png", fs::copy_options::overwrite_existing);
+    job.run();
+    const std::string before = job.bytes("mesh.ply");
+    json cameras = json::parse(read_text(job.folder / "scene/transforms.json"));
+    std::swap(cameras["frames"][0]["transform_matrix"], cameras["frames"][1]["transform_matrix"]);
+    write_text(job.folder / "scene/transforms.json", cameras.dump());
+    const json r = job.run();
+    EXPECT_TRUE(Job::reused(r, "carve"));
+    EXPECT_FALSE(Job::reused(r, "color"));
+    EXPECT_NE(job.bytes("mesh.ply"), before);
+}
+
+// Silhouettes in three channels are known as such wherever the scene lies.
+TEST(Pipeline, PhotographsThatAreMasksGiveNoColourFromAnotherPathEither) {
+    Job job;
+    for (const auto& entry : fs::directory_iterator(job.folder / "scene/images")) {
+        const Image8 grey = io::read_image8(entry.path());
+        Image8 three(grey.width, grey.height, 3);
+        for (size_t p = 0; p < grey.pixels(); ++p)
+            for (size_t c = 0; c < 3; ++c) three.data[3 * p + c] = grey.data[p];
+        io::write_png(entry.path(), three);
+    }
+    fs::remove_all(job.folder / "scene/masks");
+    json cameras = json::parse(read_text(job.folder / "scene/transforms.json"));
+    for (json& frame : cameras["frames"]) frame.erase("mask_path");
+    write_text(job.folder / "scene/transforms.json", cameras.dump());
+    EXPECT_FALSE(job.run().contains("color"));
+    job.options.views.scene = job.folder / "scene/../scene";
+    const json again = job.run();
+    EXPECT_TRUE(Job::reused(again, "mask"));
+    EXPECT_FALSE(again.contains("color"));
+}
+
 TEST(Pipeline, ColoursFromOnePhotographAtATimeAreTheSame) {
     Job job("torus", true);
     job.run();

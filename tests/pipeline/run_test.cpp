@@ -163,9 +163,44 @@ TEST(Pipeline, BricksUnderAMemoryLimitEqualTheWhole) {
         if (e.path().filename() == lost) fs::remove(e.path());
     job.run();
     EXPECT_TRUE(fs::exists(job.folder / "bricks/hull_bricks" / lost));
+    // So is one that is damaged.
+    const std::string whole_brick = read_text(job.folder / "bricks/hull_bricks" / lost);
+    for (const auto& e : fs::recursive_directory_iterator(job.folder / "bricks/stages"))
+        if (e.path().filename() == lost) {
+            std::string damaged = whole_brick;
+            damaged[damaged.size() / 2] ^= 1;
+            write_text(e.path(), damaged);
+        }
+    job.run();
+    EXPECT_EQ(read_text(job.folder / "bricks/hull_bricks" / lost), whole_brick);
     // The whole job says what it needs instead of trying.
     job.options.run.last_stage = LastStage::Export;
     EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("--memory-limit"), std::string::npos);
+}
+
+// As shells complete the name of a folder.
+TEST(Pipeline, AnOutputFolderMayEndWithASlash) {
+    Job job;
+    const json first = job.run();
+    job.options.run.output = (job.folder / "out").string() + "/";
+    job.options.mesh.adaptivity = 0.3;
+    const json again = job.run();
+    EXPECT_TRUE(Job::reused(again, "carve"));
+    EXPECT_LT(again["mesh"]["faces"], first["mesh"]["faces"]);
+    job.options.run.last_stage = LastStage::Carve;
+    EXPECT_TRUE(Job::reused(job.run(), "carve"));
+}
+
+TEST(Pipeline, HullsKnownInOtherWordsSayTheirOwnUnits) {
+    Job job;
+    job.options.run.last_stage = LastStage::Carve;
+    job.options.views.units = "mm";
+    job.run();
+    job.options.views.units = "cm";
+    EXPECT_TRUE(Job::reused(job.run(), "carve"));
+    openvdb::io::File file((job.folder / "out/hull.vdb").string());
+    file.open();
+    EXPECT_EQ((*file.getMetadata())["units"]->str(), "cm");
 }
 
 TEST(Pipeline, OccupancyAndDryRun) {

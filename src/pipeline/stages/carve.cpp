@@ -72,6 +72,7 @@ Hull Carve::run(Run& run) {
             // Under another key: the same voxels were asked for in other words.
             Hull known = load(plan.known->slot);
             known.key = plan.hull_id;
+            known.grid.bounds_automatic = plan.grid.bounds_automatic;
             run.say_reused();
             return known;
         }
@@ -186,8 +187,10 @@ void Carve::save(Slot& slot, Hull& made) const {
     std::vector<std::string> brick_slots;
     for (const fs::path& file : made.brick_files) brick_slots.push_back(file.parent_path().filename().string());
     if (made.brick_files.empty()) {
-        if (known_whole_) place_copy(made.file, slot.file(kHull));
-        else
+        if (known_whole_) {  // units and what it was made from may be others
+            const openvdb::GridPtrVec grids = read_vdb(made.file);
+            write_vdb(slot.file(kHull), {grids.begin(), grids.end()}, metadata_of(shoot, masks, made.grid.voxel_size));
+        } else
             write_vdb(slot.file(kHull), made.occupancy ? openvdb::GridCPtrVec{made.occupancy} : openvdb::GridCPtrVec{made.level},
                       metadata_of(shoot, masks, made.grid.voxel_size));
         made.file = slot.later(kHull);
@@ -208,8 +211,9 @@ Hull Carve::load(const Slot& slot) const {
     if (options.run.last_stage != LastStage::Carve) throw InputError(slot.folder().string() + ": the hull is in bricks, and is needed whole");
     const auto slots = slot.note.at("bricks").get<std::vector<std::string>>();
     for (size_t n = 0; n < out.grid.bricks.size(); ++n) {
-        out.brick_files.push_back(slot.folder().parent_path() / slots.at(n) / out.grid.bricks[n]);
-        if (!fs::exists(out.brick_files.back())) throw InputError(out.brick_files.back().string() + ": is not there");
+        const std::optional<Slot> brick = slot.beside(slots.at(n));
+        if (!brick || !brick->has(out.grid.bricks[n])) throw InputError(slots.at(n) + ": is not there, or damaged");
+        out.brick_files.push_back(brick->file(out.grid.bricks[n]));
     }
     return out;
 }

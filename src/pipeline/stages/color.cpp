@@ -60,7 +60,7 @@ Colors Color::passed() const {
 Key Color::key() const {
     Key key(kName);
     key.of(surface.key).of(color_).of(options.color.leave_out);
-    for (const size_t i : masks.used) key.of(masks.file_hashes[i]);
+    add_photographs(key, shoot, masks);
     return key;
 }
 

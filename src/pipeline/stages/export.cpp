@@ -45,10 +45,10 @@ void place_stereo_pictures(ResultSet& set, const Surface& surface) {
     if (fs::exists(there))
         for (const auto& entry : fs::recursive_directory_iterator(there))
             for (const char* ours : {".depth.tiff", ".confidence.png"})
-                if (entry.path().string().ends_with(ours)) set.remove(fs::relative(entry.path(), set.place()));
+                if (entry.path().string().ends_with(ours)) set.remove(entry.path().lexically_relative(set.place()));
     if (surface.depth_maps.empty()) return;
     for (const auto& entry : fs::recursive_directory_iterator(surface.depth_maps))
-        if (entry.is_regular_file()) set.copy(entry.path(), fs::path("depth") / fs::relative(entry.path(), surface.depth_maps));
+        if (entry.is_regular_file()) set.copy(entry.path(), fs::path("depth") / entry.path().lexically_relative(surface.depth_maps));
 }
 
 openvdb::GridCPtrVec result_grids(const Made& made, const ResultOptions& options, bool with_occupancy) {

@@ -72,11 +72,13 @@ std::vector<std::optional<KnownMask>> MakeMasks::known_masks(const Store& store)
     };
     const std::vector<Slot> slots = store.all(kName);
     std::map<std::string, Place> places;
-    for (const Slot& slot : slots) {
-        const auto theirs = slot.note.at("keys").get<std::vector<std::string>>(), origins = slot.note.at("origins").get<std::vector<std::string>>();
-        const auto ignores = slot.note.at("ignores").get<std::vector<bool>>();
-        for (size_t i = 0; i < theirs.size(); ++i) places[theirs[i]] = {&slot, i, ignores.at(i), origins.at(i)};
-    }
+    for (const Slot& slot : slots) try {
+            const auto theirs = slot.note.at("keys").get<std::vector<std::string>>(), origins = slot.note.at("origins").get<std::vector<std::string>>();
+            const auto ignores = slot.note.at("ignores").get<std::vector<bool>>();
+            for (size_t i = 0; i < theirs.size(); ++i) places[theirs[i]] = {&slot, i, ignores.at(i), origins.at(i)};
+        } catch (const std::exception&) {
+            // A note of another form.
+        }
     std::vector<std::optional<KnownMask>> out(view_keys_.size());
     tbb::parallel_for(size_t{0}, view_keys_.size(), [&](size_t i) {
         const auto found = places.find(view_keys_[i]);
@@ -122,7 +124,7 @@ void MakeMasks::save(Slot& slot, Silhouettes& made) const {
     });
     std::vector<bool> ignores;
     for (const Mask& mask : made.masks.masks) ignores.push_back(!mask.coverage.empty() && !mask.ignore.empty());
-    slot.note = {{"origins", made.masks.origins}, {"left_out", made.masks.left_out}, {"keys", view_keys_}, {"ignores", ignores}};
+    slot.note = {{"origins", made.masks.origins}, {"left_out", made.masks.left_out}, {"keys", view_keys_}, {"ignores", ignores}, {"inputs", made.inputs}};
 }
 
 Silhouettes MakeMasks::load(const Slot& slot) const {
@@ -130,6 +132,15 @@ Silhouettes MakeMasks::load(const Slot& slot) const {
     Silhouettes found = known_;
     found.masks.origins = slot.note.at("origins").get<std::vector<std::string>>();
     found.masks.left_out = slot.note.at("left_out").get<std::vector<size_t>>();
+    // The same files may lie elsewhere by now.
+    const auto& then = slot.note.at("inputs");
+    for (size_t i = 0; i < n; ++i)
+        for (const auto& [was, hash] : then.at(i).items())
+            for (const auto& [path, now] : known_.inputs[i].items())
+                if (const size_t at = found.masks.origins.at(i).find(was); now == hash && at != std::string::npos) {
+                    found.masks.origins[i].replace(at, was.size(), path);
+                    break;
+                }
     found.masks.masks.resize(n);
     found.files.resize(n);
     tbb::parallel_for(size_t{0}, n, [&](size_t i) {

@@ -34,7 +34,7 @@ void Stereo::prepare(Run& run) {
 Key Stereo::key() const {
     Key key(kName);
     key.of(surface.key).of(stereo_).of(options.color.leave_out);
-    for (const size_t i : masks.used) key.of(masks.file_hashes[i]);
+    add_photographs(key, shoot, masks);
     return key;
 }
 
