@@ -119,6 +119,14 @@ bool wants_json(const std::vector<std::string>& words) {
     return false;
 }
 
+/// An option whose value is empty is one that a script's variable did not reach: `-o "$OUT"` would mean the working folder.
+void refuse_empty_values(const CLI::App& command) {
+    for (const CLI::Option* option : command.get_options())
+        if (option->count() > 0 && option->get_expected_min() > 0)
+            for (const std::string& value : option->results())
+                if (value.empty()) throw UsageError(option->get_name() + " is empty. Remedy: a value, or leave it out");
+}
+
 /// What is wrong with the words of the command line; nothing where they ask for --help or --version.
 int refuse_words(CLI::App& program, const std::vector<std::string>& words, const CLI::ParseError& e, bool json) {
     // CLI11 would only say that a command is missing where an unknown one was given.
@@ -192,6 +200,7 @@ int run_command(const std::vector<cli::Command>& commands, cli::Common& common) 
     try {
         for (const cli::Command& c : commands)
             if (c.app->parsed()) {
+                refuse_empty_values(*c.app);
                 const int code = c.run(common, progress);
                 if (!common.report_said) event({{"event", "done"}, {"exit_code", code}});
                 return code;

@@ -22,6 +22,7 @@ class DeviceSession {
     /// No other backend will do.
     bool demanded() const { return wanted_ == Backend::Cuda; }
     /// Null: not opened yet, or left.
+    Device* device() { return device_ ? &*device_ : nullptr; }
 
     /// Calls work(Device&) and returns true; or returns false, and the caller does it on the CPU, with the same result: where the backend is the CPU, and where
     /// the device fails, for want of memory most likely. A failure says so and leaves the device; where the device was demanded it is thrown on.

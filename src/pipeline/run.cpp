@@ -37,6 +37,7 @@ void Run::open(const fs::path& folder) {
     if (dry()) return;
     if (is_open()) return mark_as_ours();  // a video, whose frames are the scene from here on
     const fs::path& output = out();
+    if (output.empty()) throw UsageError("no folder for the result was given");
     if (fs::exists(output) && !fs::is_directory(output)) throw OutputError(output.string() + ": is a file, a folder is needed");
     fresh_output_ = !made_by_us(output);
     if (fs::is_directory(output) && !fs::is_empty(output) && fresh_output_ && !o_.run.force)

@@ -4,6 +4,10 @@ source "${0%/*}/common.sh"
 use scene out
 
 expect 2 '--mesher voxels: must be one of dual, marching-cubes' reconstruct scene --mesher voxels -o elsewhere
+expect 2 'output is empty' reconstruct scene -o ''
+expect 2 'output is empty' synth cup -o ''
+expect 2 'output is empty' export out -o ''
+check 'nothing was written beside' test ! -e stages -a ! -e masks -a ! -e sparse
 expect 0 'elevations' check scene
 expect 0 '"median_iou"' check scene --json -
 expect 0 '"findings"' check scene --only images --json -
