@@ -110,6 +110,25 @@ void visit(O& o, V& v) {
       o.cap_tolerance, at_least(0).or_unset(0));
 }
 
+/// Which surface inside the hull is taken.
+struct SurfaceSettings {
+    bool fair = false;  ///< the smoothest that covers every silhouette, not the hull itself
+    FairOptions options;
+    bool keep_hull = false;  ///< volume.vdb holds the hull's level set, too, as "hull_surface"
+};
+inline constexpr Word<bool> kSurfaceWords[] = {{"hull", false}, {"fair", true}};
+template <OptionsOf<SurfaceSettings> O, class V>
+void visit(O& o, V& v) {
+    v(Option{"surface",
+             "hull (default): the largest surface that the silhouettes allow; fair: the smoothest inside it that covers every silhouette, which may take a "
+             "little of the object where no silhouette shows it",
+             "Surface", in::kMeshing},
+      o.fair, Words(kSurfaceWords));
+    v.part(o.options);
+    v.not_in_key(Option{"keep-hull", "with --surface fair: volume.vdb holds the hull's level set, too, as hull_surface", "Surface", in::kMeshing}, o.keep_hull,
+                 Flag{});
+}
+
 struct StereoSettings {
     bool on = false;  ///< carve concavities by the photographs' depths
     StereoOptions options;

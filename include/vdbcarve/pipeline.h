@@ -31,6 +31,7 @@ struct ReconstructOptions {
     GridOptions grid;
     CarveSettings carve;
     FloorOptions floor;
+    SurfaceSettings surface;
     StereoSettings stereo;
     ColorSettings color;
     FilterSettings filter;
@@ -62,6 +63,7 @@ void visit(O& o, V& v) {
     v.part(o.result);
     v.part(o.floor);
     v.part(o.color);
+    v.part(o.surface);
     v.part(o.stereo);
     v.part(o.filter);
     v.part(o.smooth);

@@ -4,6 +4,7 @@
 
 #include "vdbcarve/align.h"
 #include "vdbcarve/color.h"
+#include "vdbcarve/fair.h"
 #include "vdbcarve/mask.h"
 #include "vdbcarve/option_text.h"
 #include "vdbcarve/smooth.h"
@@ -62,6 +63,12 @@ void visit(O& o, V& v) {
              "Scene", in::kCarving, "SCENE2", "take the views of SCENE2, too, which is of the same world; once for each scene"},
       o.added, Text{});
     v.ignore(o.is_whole);
+}
+
+template <OptionsOf<FairOptions> O, class V>
+void visit(O& o, V& v) {
+    v(Option{"fairness", "with --surface fair, how far the surface may be smoothed, as a share of the object's longest side", "Surface", in::kMeshing},
+      o.fairness, within(0, 0.5));
 }
 
 template <OptionsOf<VideoOptions> O, class V>

@@ -187,7 +187,7 @@ Reconstruction publish(Run& run, const Made& made) {
     out.extend_seconds = made.hull.extend_seconds;
     if (options.result.report) write_page(run, made.mesh.mesh);
     if (!options.views.added.empty())
-        run.store().forget_others({"mask", "align", "floor", "repair", "brick", "carve", "level_set", "stereo", "color", "filter", "mesh", "smooth"});
+        run.store().forget_others({"mask", "align", "floor", "repair", "brick", "carve", "level_set", "fair", "stereo", "color", "filter", "mesh", "smooth"});
     return out;
 }
 

@@ -7,6 +7,7 @@
 #include "pipeline/stages/carve.h"
 #include "pipeline/stages/color.h"
 #include "pipeline/stages/distance.h"
+#include "pipeline/stages/fair.h"
 #include "pipeline/stages/filter.h"
 #include "pipeline/stages/floor.h"
 #include "pipeline/stages/level_set.h"
@@ -65,6 +66,7 @@ Reconstruction reconstruct(const ReconstructOptions& o, Progress& progress) {
         Hull hull = run(std::move(carve));
         if (last == LastStage::Carve) return publish(run, shoot, masks, kept, hull);
         Surface surface = run(LevelSet{o, shoot, masks, hull});
+        if (o.surface.fair) surface = run(Fair{o, shoot, masks, hull.grid, std::move(surface)});
         if (o.stereo.on) surface = run(Stereo{o, shoot, masks, hull.grid, std::move(surface)});
         const Colors colors = o.color.options.mode == ColorMode::None ? Colors() : run(Color{o, shoot, masks, hull.grid, surface});
         surface = run(Filter{o, shoot, masks, hull.grid, std::move(surface)});

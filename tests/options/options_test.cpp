@@ -33,10 +33,10 @@ std::string error_of(const std::function<void()>& run) {
 
 template <class O>
 class Struct : public testing::Test {};
-using Structs =
-    testing::Types<ViewsOptions, VideoOptions, ThresholdOptions, ChromaOptions, PlateOptions, GrabCutOptions, MaskCleanUp, MaskOptions, AlignOptions,
-                   CamerasOptions, GridOptions, CarveSettings, FloorOptions, StereoTrust, StereoOptions, StereoSettings, ExposureOptions, ColorOptions,
-                   ColorSettings, FilterSettings, MeshSettings, SmoothOptions, SmoothSettings, ResultOptions, RunOptions, WatchOptions, ReconstructOptions>;
+using Structs = testing::Types<ViewsOptions, VideoOptions, ThresholdOptions, ChromaOptions, PlateOptions, GrabCutOptions, MaskCleanUp, MaskOptions,
+                               AlignOptions, CamerasOptions, GridOptions, CarveSettings, FloorOptions, FairOptions, SurfaceSettings, StereoTrust, StereoOptions,
+                               StereoSettings, ExposureOptions, ColorOptions, ColorSettings, FilterSettings, MeshSettings, SmoothOptions, SmoothSettings,
+                               ResultOptions, RunOptions, WatchOptions, ReconstructOptions>;
 TYPED_TEST_SUITE(Struct, Structs);
 
 template <class T>
@@ -187,6 +187,8 @@ ReconstructOptions all_other() {
     o.grid.origin = Vec3d(0.1, -0.2, 123456789.123456789);
     o.carve = {-0.75, 4, 2, 0.123456789012345678, true, true, 5};
     o.floor = {FloorOptions::From::Given, -1.0 / 3, 0.25, true, 0.125};
+    o.surface.fair = o.surface.keep_hull = true;
+    o.surface.options.fairness = 0.1;
     o.stereo.on = o.stereo.maps = true;
     o.stereo.options.scale = 3;
     o.stereo.options.pairs = 4;

@@ -8,6 +8,7 @@
 #include "pipeline/stages/align.h"
 #include "pipeline/stages/carve.h"
 #include "pipeline/stages/color.h"
+#include "pipeline/stages/fair.h"
 #include "pipeline/stages/filter.h"
 #include "pipeline/stages/floor.h"
 #include "pipeline/stages/level_set.h"
@@ -63,6 +64,7 @@ std::map<std::string, std::string> keys_of(const ReconstructOptions& o) {
     Surface surface;
     surface.key = "surface";
     surface.grid = openvdb::FloatGrid::create(1.0f);
+    keys["fair"] = Fair{o, shoot, masks, hull.grid, surface}.key().hex();
     Stereo stereo{o, shoot, masks, hull.grid, surface};
     stereo.prepare(run);
     keys["stereo"] = stereo.key().hex();
@@ -133,6 +135,7 @@ const std::vector<Row> kTable = {
     {"align carve color floor", {"up"}},
     {"align carve level_set", {"floor[0]"}},
     {"level_set", {"floor-clear", "base"}},
+    {"fair", {"surface", "fairness"}},
     {"stereo",
      {"stereo-most-cost", "stereo-least-contrast", "stereo-least-margin", "stereo-agreeing", "stereo-agreement", "stereo-normal", "stereo-rim", "stereo-pairs",
       "stereo-least-angle", "stereo-most-angle", "stereo-scale", "stereo-levels", "stereo-passes", "stereo-depth", "stereo-truncation", "stereo-reach",
@@ -166,6 +169,7 @@ const std::vector<Row> kTable = {
       "cap-tolerance",
       "gains (set by the job)",
       "stereo-maps",
+      "keep-hull",
       "mesh-formats",
       "dcc",
       "vdb-half",

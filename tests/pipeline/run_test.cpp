@@ -203,6 +203,34 @@ TEST(Pipeline, HullsKnownInOtherWordsSayTheirOwnUnits) {
     EXPECT_EQ((*file.getMetadata())["units"]->str(), "cm");
 }
 
+TEST(Pipeline, TheFairSurfaceLiesInsideTheHull) {
+    Job job("cup");
+    const json hull = job.run();
+    EXPECT_FALSE(hull.contains("fair"));
+    job.options.surface.fair = job.options.surface.keep_hull = true;
+    const json first = job.run();
+    EXPECT_TRUE(Job::reused(first, "level_set"));
+    EXPECT_FALSE(Job::reused(first, "fair"));
+    EXPECT_EQ(first["fair"]["uncovered"], 0);
+    EXPECT_LT(first["fair"]["volume"], first["fair"]["hull_volume"]);
+    EXPECT_LT(first["mesh"]["volume"], hull["mesh"]["volume"]);
+    EXPECT_TRUE(first["mesh"]["manifold"]);
+    EXPECT_GT(job.last.median_iou, 0.97);
+    const auto kept = read_float_grid(job.folder / "out/volume.vdb", "hull_surface"), fair = read_float_grid(job.folder / "out/volume.vdb", "surface");
+    EXPECT_EQ(kept->getGridClass(), openvdb::GRID_LEVEL_SET);
+    for (auto v = fair->cbeginValueOn(); v; ++v) ASSERT_GE(*v, kept->tree().getValue(v.getCoord()) - 1e-5);
+    const std::string mesh = job.bytes("mesh.ply");
+    EXPECT_TRUE(Job::reused(job.run(), "fair"));
+    EXPECT_EQ(job.bytes("mesh.ply"), mesh);
+    job.options.surface.options.fairness = 0.1;
+    EXPECT_FALSE(Job::reused(job.run(), "fair"));
+    job.options.surface.fair = false;
+    job.run();
+    EXPECT_EQ(read_vdb(job.folder / "out/volume.vdb").size(), 2u);
+    job.options.surface.fair = job.options.stereo.on = true;
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("--surface fair"), std::string::npos);
+}
+
 TEST(Pipeline, OccupancyAndDryRun) {
     Job job("torus");
     job.options.carve.occupancy = true;

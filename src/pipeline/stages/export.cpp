@@ -55,6 +55,7 @@ openvdb::GridCPtrVec result_grids(const Made& made, const ResultOptions& options
     const Surface& surface = made.surface;
     openvdb::GridCPtrVec grids{surface.grid, density_of(*surface.grid)};
     if (with_occupancy) grids.push_back(occupancy_of(made.hull));
+    if (surface.hull) grids.push_back(surface.hull);
     if (surface.stereo_confidence) grids.push_back(surface.stereo_confidence);
     if (const openvdb::Vec3SGrid::Ptr& color = made.colors.grid) {
         openvdb::Vec3SGrid::Ptr named = openvdb::Vec3SGrid::create(color->treePtr());

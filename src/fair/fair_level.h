@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// A level of the pyramid on which the fair surface is found: leaves of the hull and of the field, in one numbering.
+#pragma once
+
+#include <openvdb/openvdb.h>
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "vdbcarve/kernel/fair.h"
+
+namespace vdbcarve::fairing {
+
+inline constexpr size_t kLeafVoxels = 512;
+
+/// Values of leaves, and the least that a point of each leaf's cells can have.
+struct Values {
+    std::vector<float> of, least;
+};
+
+struct Level {
+    int shift = 0;                       ///< its voxels are 2^shift of the finest ones wide
+    std::array<int, 3> lo{}, size{};     ///< of the lattice of leaves
+    std::vector<int32_t> leaf_at;        ///< kernel::FairField
+    std::vector<openvdb::Coord> origin;  ///< of each leaf, voxels
+    Values hull, field;
+    std::vector<float> scratch;  ///< as many as field has
+
+    size_t leaves() const { return origin.size(); }
+    kernel::FairField view(const Values& values) const {
+        return {leaf_at.data(), {lo[0], lo[1], lo[2]}, {size[0], size[1], size[2]}, values.of.data(), values.least.data()};
+    }
+    size_t place(int x, int y, int z) const {
+        return (static_cast<size_t>(x - lo[0]) * static_cast<size_t>(size[1]) + static_cast<size_t>(y - lo[1])) * static_cast<size_t>(size[2]) +
+               static_cast<size_t>(z - lo[2]);
+    }
+    /// Visits the lattice's places: visit(place, x, y, z), leaf coordinates.
+    template <class Visit>
+    void each_place(const Visit& visit) const {
+        size_t p = 0;
+        for (int x = lo[0]; x < lo[0] + size[0]; ++x)
+            for (int y = lo[1]; y < lo[1] + size[1]; ++y)
+                for (int z = lo[2]; z < lo[2] + size[2]; ++z, ++p) visit(p, x, y, z);
+    }
+    template <class Work>
+    void for_leaves(const Work& work) const {
+        tbb::parallel_for(tbb::blocked_range<size_t>(0, leaves(), 8), [&](const tbb::blocked_range<size_t>& range) {
+            for (size_t n = range.begin(); n < range.end(); ++n) work(n);
+        });
+    }
+    /// Voxels that lie inside, in leaves a part of one.
+    double volume_vox(const Values& values) const;
+};
+
+/// The hull's leaves, distances in voxels.
+Level level_of(const openvdb::FloatGrid& hull);
+/// The hull on voxels twice as wide: means of 2^3, re-distanced. `whole`: with leaves all over the inside.
+Level coarser(const Level& fine, bool whole);
+/// `fine` has a hull alone, `coarse` hull and field. The result has the leaves that either surface needs, the coarse field carried over, and what the finer
+/// hull shows beyond the coarser one.
+Level carried_over(const Level& fine, const Level& coarse);
+
+/// One step of motion: a Gaussian blur of the clipped distances, then kernel::straightened.
+void move(Level& level, double width_vox);
+/// Updates Values::least of every leaf.
+void find_least(const Level& level, Values& values);
+/// Signs stay, distances become true again (kernel/level_set.h).
+void make_distances(const Level& level, std::vector<float>& values);
+/// Takes away what hangs in the air: pieces of the inside with fewer voxels than `share` of the largest. Returns how many.
+size_t drop_pieces(Level& level, double share);
+
+/// The field as a level set on the hull's lattice, in world units.
+openvdb::FloatGrid::Ptr grid_of(const Level& level, const openvdb::FloatGrid& hull);
+
+}  // namespace vdbcarve::fairing

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stage `fair`: the hull's surface becomes the smoothest one inside it that covers every silhouette.
+#pragma once
+
+#include "pipeline/run.h"
+#include "pipeline/values.h"
+
+namespace vdbcarve::pipeline {
+
+struct Fair {
+    static constexpr const char* kName = "fair";
+    using Result = Surface;
+
+    const ReconstructOptions& options;
+    const Shoot& shoot;
+    const Silhouettes& masks;
+    const GridFacts& grid;
+    Surface surface;
+
+    Key key() const { return Key(kName).of(surface.key).of(options.surface); }
+    Surface run(Run& run);
+    void save(Slot& slot, const Surface& made) const;
+    Surface load(const Slot& slot) const;
+    void report(const Surface& made, nlohmann::json& report) const { report["fair"] = made.fair; }
+    void say(const Surface& made, Progress& progress) const;
+
+  private:
+    Surface on_hull(openvdb::FloatGrid::Ptr fair) const;
+};
+
+}  // namespace vdbcarve::pipeline

@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: Apache-2.0
+// The fair surface: inside the hull, over every silhouette, nearer to the object.
+
+#include "vdbcarve/fair.h"
+
+#include <gtest/gtest.h>
+#include <openvdb/tools/Interpolation.h>
+#include <tbb/global_control.h>
+
+#include <atomic>
+#include <cmath>
+
+#include "support/same_grid.h"
+#include "support/scenes.h"
+#include "vdbcarve/carve.h"
+#include "vdbcarve/error.h"
+#include "vdbcarve/evaluate.h"
+#include "vdbcarve/level_set.h"
+#include "vdbcarve/mesh.h"
+
+namespace vdbcarve::test {
+namespace {
+
+struct Faired {
+    Shoot shoot;
+    openvdb::FloatGrid::Ptr hull;
+    std::vector<FairView> views;
+    FairResult result;
+
+    explicit Faired(const SyntheticSpec& spec, int resolution, double fairness = 0.06, const std::function<void(SyntheticScene&)>& adjust = {})
+        : shoot(test::shoot(spec, adjust)) {
+        Progress quiet;
+        hull = level_set(carve(shoot.inputs, options_for(shoot, resolution), quiet).hull, {}, quiet);
+        const auto cameras = shoot.scene.views.cameras();
+        for (size_t u = 0; u < cameras.size(); ++u) views.push_back({cameras[u], view_of(shoot.scene.masks[u])});
+        result = again(fairness);
+    }
+    FairResult again(double fairness = 0.06) const {
+        Progress quiet;
+        FairOptions options;
+        options.fairness = fairness;
+        return fair(*hull, views, options, quiet);
+    }
+    Evaluation against_truth(const openvdb::FloatGrid& surface) const {
+        Progress quiet;
+        EvaluateOptions options;
+        options.samples = 20000;
+        options.volume_resolution = 128;
+        return evaluate(extract_mesh(surface, {}, quiet), shoot.scene.truth, options, quiet);
+    }
+};
+
+/// The least value along a line of sight, by small steps in double precision.
+double least_along(const openvdb::FloatGrid& grid, const Camera::Ray& ray, const openvdb::CoordBBox& box) {
+    const openvdb::tools::GridSampler<openvdb::FloatGrid, openvdb::tools::BoxSampler> sampler(grid);
+    const openvdb::Vec3d lo = grid.indexToWorld(box.min().asVec3d()), hi = grid.indexToWorld(box.max().asVec3d());
+    double enter = 0, leave = 1e30, least = 1e30;
+    for (int a = 0; a < 3; ++a) {
+        double p = (lo[a] - ray.origin[a]) / ray.direction[a], q = (hi[a] - ray.origin[a]) / ray.direction[a];
+        if (p > q) std::swap(p, q);
+        enter = std::max(enter, p);
+        leave = std::min(leave, q);
+    }
+    for (double t = enter; t < leave; t += 0.15 * grid.voxelSize()[0]) {
+        const Vec3d x = ray.origin + t * ray.direction;
+        least = std::min(least, static_cast<double>(sampler.wsSample(openvdb::Vec3d(x.x(), x.y(), x.z()))));
+    }
+    return least;
+}
+
+/// Pixels at least half a pixel inside a contour that the hull covers and the surface does not; and how many there are.
+std::pair<size_t, size_t> uncovered(const Faired& f) {
+    const openvdb::CoordBBox box = f.hull->evalActiveVoxelBoundingBox();
+    std::atomic<size_t> open{0}, all{0};
+    const double voxel = f.hull->voxelSize()[0];
+    tbb::parallel_for(size_t{0}, f.views.size(), [&](size_t u) {
+        const ImageF distance = signed_distance(f.views[u].mask.coverage, 8);
+        for (int y = 0; y < distance.height; ++y)
+            for (int x = 0; x < distance.width; ++x) {
+                if (distance.at(x, y) > -0.5f) continue;
+                const Camera::Ray ray = f.views[u].camera.ray(Vec2d(x + 0.5, y + 0.5));
+                if (least_along(*f.hull, ray, box) > -0.05 * voxel) continue;
+                ++all;
+                if (least_along(*f.result.surface, ray, box) > 0.03 * voxel) ++open;
+            }
+    });
+    return {open, all};
+}
+
+TEST(Fair, EverySilhouetteStaysCovered) {
+    for (const char* object : {"cup", "torus"}) {
+        const Faired f(small_spec(object, 10, 160, 120), 90);
+        const auto [open, all] = uncovered(f);
+        EXPECT_GT(all, 10000u);
+        EXPECT_EQ(open, 0u) << object << ", of " << all;
+        EXPECT_EQ(f.result.uncovered, 0u);
+        EXPECT_NEAR(static_cast<double>(f.result.lines_of_sight), static_cast<double>(all), 0.02 * static_cast<double>(all));
+    }
+}
+
+TEST(Fair, LiesInsideTheHull) {
+    const Faired f(small_spec("cup", 10, 160, 120), 90);
+    const auto hull = f.hull->getConstAccessor();
+    const float band = f.hull->background();
+    size_t seen = 0;
+    for (auto v = f.result.surface->cbeginValueOn(); v; ++v, ++seen) ASSERT_GE(*v, std::min(hull.getValue(v.getCoord()), band) - 1e-5f * band);
+    EXPECT_GT(seen, 1000u);
+    EXPECT_EQ(f.result.surface->getGridClass(), openvdb::GRID_LEVEL_SET);
+    EXPECT_EQ(f.result.surface->getName(), "surface");
+    EXPECT_LT(f.result.volume, f.result.hull_volume);
+}
+
+TEST(Fair, IsNearerToTheObject) {
+    const Faired f(small_spec("ellipsoids", 8, 240, 180), 128);
+    const Evaluation hull = f.against_truth(*f.hull), fair = f.against_truth(*f.result.surface);
+    EXPECT_GT(hull.volume_excess, 0.05);
+    EXPECT_LT(fair.volume_excess, 0.6 * hull.volume_excess);
+    EXPECT_LT(fair.to_truth.mean, 0.75 * hull.to_truth.mean);
+    EXPECT_LT(fair.from_truth.mean, hull.from_truth.mean);
+    EXPECT_GT(fair.iou, hull.iou);
+    EXPECT_LT(fair.truth_lost, 0.05);
+    EXPECT_LT(fair.normal_error_mean_deg, hull.normal_error_mean_deg);
+}
+
+// Where many views leave no room the hull is right already, and stays.
+TEST(Fair, WhatIsRightAlreadyStays) {
+    SyntheticSpec spec = small_spec("ellipsoids", 48, 320, 240);
+    spec.rig.kind = Rig::Kind::Dome;
+    const Faired f(spec, 96);
+    const openvdb::tools::GridSampler<openvdb::FloatGrid, openvdb::tools::BoxSampler> hull(*f.hull), fair(*f.result.surface);
+    double sum2 = 0;
+    size_t count = 0;
+    const double voxel = f.hull->voxelSize()[0];
+    for (const auto& v : f.shoot.scene.truth.vertices) {
+        const openvdb::Vec3d x(v[0], v[1], v[2]);
+        const double before = static_cast<double>(hull.wsSample(x)) / voxel;
+        if (std::fabs(before) > 0.1) continue;
+        const double moved = static_cast<double>(fair.wsSample(x)) / voxel - before;
+        sum2 += moved * moved;
+        ++count;
+    }
+    ASSERT_GT(count, 100u);
+    EXPECT_LT(std::sqrt(sum2 / static_cast<double>(count)), 0.15);
+}
+
+TEST(Fair, SameBitsForAnyNumberOfThreads) {
+    const Faired f(small_spec("cup", 8, 160, 120), 160);
+    const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+    expect_same(*f.result.surface, *f.again().surface);
+}
+
+TEST(Fair, NothingIsForcedWhereNothingIsSeen) {
+    // The lower half of every picture is ignored: no line of sight is asked there.
+    const auto ignore_below = [](SyntheticScene& scene) {
+        for (Mask& m : scene.masks) {
+            m.ignore = Image8(m.coverage.width, m.coverage.height);
+            for (int y = m.coverage.height / 2; y < m.coverage.height; ++y)
+                for (int x = 0; x < m.coverage.width; ++x) m.ignore.at(x, y) = 255;
+        }
+    };
+    const SyntheticSpec spec = small_spec("ellipsoids", 8, 160, 120);
+    const Faired all(spec, 64);
+    FairResult half;
+    {
+        Shoot shoot = test::shoot(spec, ignore_below);
+        std::vector<FairView> views;
+        const auto cameras = shoot.scene.views.cameras();
+        for (size_t u = 0; u < cameras.size(); ++u) views.push_back({cameras[u], view_of(shoot.scene.masks[u])});
+        Progress quiet;
+        half = fair(*all.hull, views, {}, quiet);
+    }
+    EXPECT_LT(half.lines_of_sight, 0.8 * static_cast<double>(all.result.lines_of_sight));
+    EXPECT_LT(half.volume, all.result.volume);
+    EXPECT_EQ(half.uncovered, 0u);
+}
+
+TEST(Fair, RefusesWhatItCannotDo) {
+    const Faired f(small_spec("ellipsoids", 4, 96, 72), 32);
+    EXPECT_NE(error_of(ExitCode::Usage, [&] { f.again(0.7); }).find("--fairness"), std::string::npos);
+    Progress quiet;
+    EXPECT_NE(error_of(ExitCode::Input, [&] { fair(*openvdb::FloatGrid::create(1), f.views, {}, quiet); }).find("no surface"), std::string::npos);
+    // No motion: the hull.
+    const FairResult same = f.again(0);
+    expect_same(*same.surface, *f.hull);
+    EXPECT_EQ(same.volume, same.hull_volume);
+}
+
+}  // namespace
+}  // namespace vdbcarve::test
