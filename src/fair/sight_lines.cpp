@@ -25,6 +25,8 @@ constexpr float kSlack_vox = 0.02f;
 constexpr float kNearContour_vox = 0.3f;
 /// Lines this far inside the contour, in pixels, must meet the surface; those nearer to it, down to a pixel outside, keep the contour.
 constexpr float kMust_px = -0.5f;
+/// As deep as that is covered.
+constexpr float kCovered_vox = -0.1f;
 /// Rounds after which a cell is put back to the hull's values.
 constexpr int kPatience = 40;
 /// What is as near to the surface as this becomes part of it when it is lowered; farther away it would hang in the air.
@@ -134,8 +136,8 @@ size_t SightLines::inside_samples() const {
     return count;
 }
 
-void SightLines::add(std::vector<Line>& out, const FairRay& ray, float target, bool must) const {
-    Line line{ray, target + kSlack_vox, 0, 0, must, true};
+void SightLines::add(std::vector<Line>& out, const FairRay& ray, float target) const {
+    Line line{ray, target + kSlack_vox, 0, 0, false, true};
     if (line.target >= kFairBand_vox) return;  // the hull is not there either
     deep_span(level_.view(level_.hull), ray, line.target, line.first, line.last);
     out.push_back(line);
@@ -151,8 +153,8 @@ void SightLines::find_rim() {
         if (d <= -1.f || d >= 1.f || says_nothing(fields_[u], x, y) || !line_of_sight(eyes_[u], hull, x, y, ray)) return;
         const float least = least_on(hull, ray, -kFairBand_vox);
         // Never more than the mask says: with misses allowed, the hull reaches beyond some.
-        add(out, ray, kernel::max_f(least, d * ray.sample_vox), false);
-        if (d <= kMust_px) add(out, ray, kernel::max_f(least, -0.1f), true);
+        add(out, ray, kernel::max_f(least, d * ray.sample_vox));
+        if (d <= kMust_px) out.push_back({ray, kCovered_vox, 0, ray.last, true, false});
     });
 }
 

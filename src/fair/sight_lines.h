@@ -46,7 +46,8 @@ class SightLines {
     std::vector<Line> each_sample(const Visit& visit) const;
     void find_rim();
     void cover_by_balls(float safe_vox);
-    void add(std::vector<Line>& out, const kernel::FairRay& ray, float target, bool must) const;
+    /// A line that keeps the contour.
+    void add(std::vector<Line>& out, const kernel::FairRay& ray, float target) const;
     bool says_nothing(const DistanceField& field, int x, int y) const { return !field.ignored.empty() && field.ignored.at(x, y) > -0.5f; }
     /// A value that is to become lower.
     struct Lower {
