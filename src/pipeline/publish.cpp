@@ -53,6 +53,17 @@ Reconstruction finish(Run& run, ResultSet* set, const Shoot& shoot, size_t used,
     return out;
 }
 
+/// A command that ends before the mesh leaves what an earlier run made of other cameras or masks beside its own files.
+void warn_of_older_results(Run& run) {
+    for (const char* older : {"volume.vdb", "mesh.ply", "mesh.glb", "mesh.obj", "mesh.stl"})
+        if (fs::exists(run.out() / older)) {
+            run.progress().warn((run.out() / older).string() +
+                                " is of an earlier run, and need not fit what this one leaves beside it. Remedy: reconstruct into " + run.out().string() +
+                                " again, or another -o");
+            return;
+        }
+}
+
 /// The hull's outline over the views that fit worst; nothing where there is no hull of these cameras.
 bool draw_alignment(ResultSet& set, const fs::path& file, Run& run, const Shoot& shoot, const Silhouettes& masks) {
     Mesh mesh;
@@ -135,6 +146,7 @@ Reconstruction publish(Run& run, const Shoot& shoot, const Silhouettes& masks) {
     ResultSet set(run.out(), run.out());
     place_overlays(set, run, shoot, masks);
     place_masks(set, masks, run.progress());
+    warn_of_older_results(run);
     Reconstruction out = finish(run, &set, shoot, masks.used.size(), "cpu");
     run.progress().note((run.out() / "overlays").string() + " shows the masks over their photographs");
     return out;
@@ -145,6 +157,7 @@ Reconstruction publish_cameras(Run& run, const Shoot& shoot, const Silhouettes& 
     ResultSet set(run.out(), run.out());
     place_alignment(set, run, shoot, masks);
     place_masks(set, masks, run.progress());
+    warn_of_older_results(run);
     clear_unverified(set, kUnverified);
     return finish(run, &set, shoot, masks.used.size(), "cpu");
 }
@@ -156,6 +169,7 @@ Reconstruction publish(Run& run, const Shoot& shoot, const Silhouettes& masks, c
     ResultSet set(run.out(), run.out());
     set.remove(bricks);
     if (run.options().carve.occupancy) set.remove("hull.vdb");
+    else warn_of_older_results(run);
     if (hull.brick_files.empty()) {
         set.copy(hull.file, whole);
     } else {

@@ -188,7 +188,9 @@ TEST(Pipeline, AnOutputFolderMayEndWithASlash) {
     EXPECT_TRUE(Job::reused(again, "carve"));
     EXPECT_LT(again["mesh"]["faces"], first["mesh"]["faces"]);
     job.options.run.last_stage = LastStage::Carve;
-    EXPECT_TRUE(Job::reused(job.run(), "carve"));
+    const json carve = job.run();
+    EXPECT_TRUE(Job::reused(carve, "carve"));
+    EXPECT_NE(carve["warnings"].dump().find("is of an earlier run"), std::string::npos);
 }
 
 TEST(Pipeline, HullsKnownInOtherWordsSayTheirOwnUnits) {
