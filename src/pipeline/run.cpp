@@ -41,7 +41,8 @@ void Run::open(const fs::path& folder) {
     if (fs::exists(output) && !fs::is_directory(output)) throw OutputError(output.string() + ": is a file, a folder is needed");
     fresh_output_ = !made_by_us(output);
     if (fs::is_directory(output) && !fs::is_empty(output) && fresh_output_ && !o_.run.force)
-        throw OutputError(output.string() + ": is not empty and was not made by vdbcarve, or its stages/ was deleted. Remedy: another -o, or --force to write into it");
+        throw OutputError(output.string() +
+                          ": is not empty and was not made by vdbcarve, or its stages/ was deleted. Remedy: another -o, or --force to write into it");
     if (fresh_output_) refuse_foreign_results(output);
     make_folder(output / "stages");
     lock_ = OutLock(output);
