@@ -65,8 +65,7 @@ FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& vie
         out.volume = out.hull_volume;
         return out;
     }
-    const double finest = 8.0 * *std::max_element(hulls[0].size.begin(), hulls[0].size.end()) - 16;
-    double longest = finest;
+    double longest = 8.0 * *std::max_element(hulls[0].size.begin(), hulls[0].size.end()) - 16;
     for (; longest > std::sqrt(2.0) * kCoarsest_vox; longest /= 2) hulls.push_back(coarser(hulls.back(), longest / 2 <= std::sqrt(2.0) * kCoarsest_vox));
     const auto first_steps = static_cast<int>(std::lround(std::pow(options.fairness * longest / kStep_vox, 2)));
     progress.begin("fair", static_cast<size_t>(first_steps) + (hulls.size() - 1) * kFinerSteps + hulls.size() * (kLastSteps + 1));

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <limits>
 
+#include "base/vector_loops.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/kernel/level_set.h"
 #include "volume/same_transform.h"
@@ -62,21 +62,6 @@ void fill_halo(const Level& level, const std::vector<float>& values, size_t n, i
                         if (from) std::memcpy(to, from + ((i & 7) << 6 | (j & 7) << 3 | (k0 & 7)), static_cast<size_t>(count) * sizeof(float));
                         else std::fill_n(to, count, FairField::tile(m));
                     }
-            }
-}
-
-/// Calls work(values around, index in the leaf, number among all) for every voxel of a leaf, `around(i, j, k)` reading up to a voxel away.
-template <class Work>
-void each_voxel(const Level& level, const std::vector<float>& values, size_t n, const Work& work) {
-    constexpr int kSide = 10;
-    float halo[kSide * kSide * kSide];
-    fill_halo(level, values, n, 1, halo);
-    size_t at = 0;
-    for (int i = 1; i <= 8; ++i)
-        for (int j = 1; j <= 8; ++j)
-            for (int k = 1; k <= 8; ++k, ++at) {
-                const float* here = halo + (i * kSide + j) * kSide + k;
-                work([here](int di, int dj, int dk) { return here[(di * kSide + dj) * kSide + dk]; }, at, n * kLeafVoxels + at);
             }
 }
 
@@ -140,36 +125,31 @@ void move(Level& level, double width_vox) {
         blur.leaf(halo, blurred.data() + n * kLeafVoxels);
     });
     level.for_leaves([&](size_t n) {
-        each_voxel(level, blurred, n, [&](const auto& around, size_t, size_t at) { level.field.of[at] = kernel::straightened(around, level.hull.of[at]); });
+        constexpr int kSide = 10;
+        float halo[kSide * kSide * kSide];
+        fill_halo(level, blurred, n, 1, halo);
+        for (int q = 0; q < static_cast<int>(kLeafVoxels); ++q) {
+            const float* here = halo + (((q >> 6) + 1) * kSide + (q >> 3 & 7) + 1) * kSide + (q & 7) + 1;
+            const size_t at = n * kLeafVoxels + static_cast<size_t>(q);
+            level.field.of[at] = kernel::straightened([here](int i, int j, int k) { return here[(i * kSide + j) * kSide + k]; }, level.hull.of[at]);
+        }
     });
 }
 
 void make_distances(const Level& level, std::vector<float>& values) {
+    const VectorLoops& loops = vector_loops();
     // Magnitudes; those beside the surface are fixed, which their sign says.
     std::vector<float> now(values.size()), next(values.size());
-    level.for_leaves([&](size_t n) {
-        each_voxel(level, values, n, [&](const auto& v, size_t, size_t at) {
-            const float here = v(0, 0, 0);
-            const float x = kernel::opposite(here, v(-1, 0, 0), v(1, 0, 0)), y = kernel::opposite(here, v(0, -1, 0), v(0, 1, 0)),
-                        z = kernel::opposite(here, v(0, 0, -1), v(0, 0, 1));
-            now[at] = kBand;
-            if (x < 0.f && y < 0.f && z < 0.f) return;
-            const float d = kernel::plane_distance(here, kernel::slope(here, v(-1, 0, 0), v(1, 0, 0), x), kernel::slope(here, v(0, -1, 0), v(0, 1, 0), y),
-                                                   kernel::slope(here, v(0, 0, -1), v(0, 0, 1), z));
-            now[at] = -kernel::min_f(d, kBand);
-        });
-    });
-    for (int pass = kernel::level_set_passes(static_cast<int>(kBand)); pass > 0; --pass) {
+    const auto pass = [&](const std::vector<float>& from, const auto& loop, std::vector<float>& to) {
         level.for_leaves([&](size_t n) {
-            each_voxel(level, now, n, [&](const auto& v, size_t, size_t at) {
-                const float here = v(0, 0, 0);
-                const auto nearer = [](float a, float b) { return kernel::min_f(std::fabs(a), std::fabs(b)); };
-                if (here < 0.f) next[at] = here;
-                else
-                    next[at] =
-                        kernel::min_f(kernel::eikonal(nearer(v(-1, 0, 0), v(1, 0, 0)), nearer(v(0, -1, 0), v(0, 1, 0)), nearer(v(0, 0, -1), v(0, 0, 1))), here);
-            });
+            float halo[10 * 10 * 10];
+            fill_halo(level, from, n, 1, halo);
+            loop(halo, kBand, to.data() + n * kLeafVoxels);
         });
+    };
+    pass(values, loops.measure_leaf, now);
+    for (int n = kernel::level_set_passes(static_cast<int>(kBand)); n > 0; --n) {
+        pass(now, loops.redistance_leaf, next);
         std::swap(now, next);
     }
     level.for_leaves([&](size_t n) {

@@ -361,21 +361,18 @@ bool SightLines::reach_alone(const std::vector<Open>& alone) {
     return changed;
 }
 
-size_t SightLines::repair(int rounds, bool anywhere, std::optional<size_t> half) {
+void SightLines::repair(int rounds, bool anywhere, std::optional<size_t> half) {
     std::vector<Line*> open;
     for (std::vector<Line>* lines : {&rim_, &near_})
         for (size_t n = half.value_or(0); n < lines->size(); n += half ? 2 : 1) open.push_back(&(*lines)[n]);
-    size_t at_first = 0;
     find_least(level_, level_.field);
     for (int round = 0; round < rounds && !open.empty(); ++round) {
         Round found = look(open, anywhere ? kBeside_vox : kFairBand_vox - 1e-3f);
         open.swap(found.open);
-        if (round == 0) at_first = open.size();
         // Growing from the surface comes first; what has nothing near waits until that ends.
         if (!grow(found.beside, round >= kPatience) && !(anywhere && reach_alone(found.alone))) break;
     }
     open_ = static_cast<size_t>(std::count_if(open.begin(), open.end(), [](const Line* line) { return line->must; }));
-    return at_first;
 }
 
 }  // namespace vdbcarve::fairing

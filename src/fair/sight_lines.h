@@ -33,8 +33,8 @@ class SightLines {
     void find_near(float safe_vox);
     /// Lowers the field until all lines that are known meet it, growing on from where it is; at most so many rounds. `anywhere`: what does not grow from the
     /// surface is bridged to it, or stands alone. `half`: every second line only, from the first or the second on: enough
-    /// between steps of motion. Returns how many lines were open at first.
-    size_t repair(int rounds, bool anywhere, std::optional<size_t> half = {});
+    /// between steps of motion.
+    void repair(int rounds, bool anywhere, std::optional<size_t> half = {});
 
     /// Samples at least half a one inside a contour and not ignored.
     size_t inside_samples() const;

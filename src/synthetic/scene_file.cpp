@@ -162,18 +162,17 @@ void write_scene(const SyntheticScene& scene, const fs::path& folder) {
     if (!scene.true_masks.empty()) make_folder(folder / "masks_true");
     if (!scene.plates.empty()) make_folder(folder / "plates");
     tbb::parallel_for(size_t{0}, scene.masks.size(), [&](size_t i) {
-        const auto write = [&](const fs::path& file, const Image8& image) { io::write_png(file, image); };
-        write(folder / scene.views.views[i].mask_path, scene.masks[i].coverage);
+        io::write_png(folder / scene.views.views[i].mask_path, scene.masks[i].coverage);
         const View& view = scene.views.views[i];
-        if (!scene.plates.empty()) write((folder / "plates" / fs::path(view.name).filename()).replace_extension(".png"), scene.plates[i]);
+        if (!scene.plates.empty()) io::write_png((folder / "plates" / fs::path(view.name).filename()).replace_extension(".png"), scene.plates[i]);
         // Without photographs the silhouettes stand in for them.
-        if (!scene.true_masks.empty()) write(folder / "masks_true" / view.mask_path.filename(), scene.true_masks[i].coverage);
+        if (!scene.true_masks.empty()) io::write_png(folder / "masks_true" / view.mask_path.filename(), scene.true_masks[i].coverage);
         if (!scene.photos.empty() && scene.look.jpeg_quality > 0) {
             const Intrinsics& k = view.camera.intrinsics;
             const auto jpeg = io::encode_jpeg(scene.photos[i], scene.look.jpeg_quality, scene.look.exif && !k.orthographic ? 36.0 * k.fx / k.width_px : 0);
             write_file(folder / view.name, jpeg.data(), jpeg.size());
         } else {
-            write(folder / view.name, scene.photos.empty() ? scene.masks[i].coverage : scene.photos[i]);
+            io::write_png(folder / view.name, scene.photos.empty() ? scene.masks[i].coverage : scene.photos[i]);
         }
     });
     const auto cameras = [&](const Views& views, const char* name) {
