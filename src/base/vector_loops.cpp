@@ -11,6 +11,7 @@
 #endif
 
 #include "vdbcarve/kernel/distance.h"
+#include "vdbcarve/kernel/fair_motion.h"
 #include "vdbcarve/kernel/filter.h"
 #include "vdbcarve/kernel/level_set.h"
 #include "vdbcarve/kernel/stereo.h"
@@ -321,6 +322,32 @@ int redistance_leaf(const float* halo, float band_vox, float* out) {
     return changed;
 }
 
+/// Sums of values that are `stride` apart, for `count` places in a row.
+inline void blur_along(const float* __restrict from, int stride, const float weight[5], int count, float* __restrict to) {
+    const float w0 = weight[0], w1 = weight[1], w2 = weight[2], w3 = weight[3], w4 = weight[4];
+    for (int q = 0; q < count; ++q)
+        to[q] = (((w0 * from[q] + w1 * (from[q - stride] + from[q + stride])) + w2 * (from[q - 2 * stride] + from[q + 2 * stride])) +
+                 w3 * (from[q - 3 * stride] + from[q + 3 * stride])) +
+                w4 * (from[q - 4 * stride] + from[q + 4 * stride]);
+}
+
+void blur_leaf(const float* halo, const float weight[5], float* out) {
+    constexpr int S = 16;
+    static_assert(S == 8 + 2 * kFairReach);
+    alignas(64) float x[8 * S * S], y[8 * 8 * S];
+    for (int i = 0; i < 8; ++i) blur_along(halo + (i + 4) * S * S, S * S, weight, S * S, x + i * S * S);
+    for (int i = 0; i < 8; ++i) blur_along(x + i * S * S + 4 * S, S, weight, 8 * S, y + i * 8 * S);
+    for (int row = 0; row < 64; ++row) blur_along(y + row * S + 4, 1, weight, 8, out + row * 8);
+}
+
+void straighten_leaf(const float* halo, const float* hull, float* out) {
+    for (int row = 0; row < 64; ++row) {
+        const float* h = halo + ((row >> 3) + 1) * 100 + ((row & 7) + 1) * 10 + 1;
+        float* to = out + row * 8;
+        for (int k = 0; k < 8; ++k) to[k] = straightened([h, k](int a, int b, int c) { return h[a * 100 + b * 10 + c + k]; }, hull[row * 8 + k]);
+    }
+}
+
 /// Eight voxels in a row along z.
 typedef float Lanes __attribute__((vector_size(32)));
 
@@ -421,8 +448,17 @@ void likelihoods(const StereoReference& reference, const StereoTrustRule& rule, 
 
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)();
 const VectorLoops& VDBCARVE_JOIN(vector_loops_, VDBCARVE_ISA)() {
-    static constexpr VectorLoops kLoops{
-        VDBCARVE_STRING(VDBCARVE_ISA), raise_leaf, window_distance, measure_leaf, redistance_leaf, filter_leaf, first_planes, better_planes, likelihoods};
+    static constexpr VectorLoops kLoops{VDBCARVE_STRING(VDBCARVE_ISA),
+                                        raise_leaf,
+                                        window_distance,
+                                        measure_leaf,
+                                        redistance_leaf,
+                                        blur_leaf,
+                                        straighten_leaf,
+                                        filter_leaf,
+                                        first_planes,
+                                        better_planes,
+                                        likelihoods};
     return kLoops;
 }
 

@@ -59,6 +59,10 @@ struct VectorLoops {
     void (*measure_leaf)(const float* halo, float band_vox, float* out);
     /// One pass of kernel::eikonal over a leaf, from a halo of such distances. 0 when nothing changed.
     int (*redistance_leaf)(const float* halo, float band_vox, float* out);
+    /// A Gaussian along all three axes: `halo` is 16^3 values, the leaf at 4..11, weight[n] that of values n away.
+    void (*blur_leaf)(const float* halo, const float weight[5], float* out);
+    /// kernel::straightened of a leaf, from a halo of 10 x 10 x 10 values; `hull` and `out` are the leaf's.
+    void (*straighten_leaf)(const float* halo, const float* hull, float* out);
     /// One pass of a filter over a leaf (kernel/filter.h). `halo` is kFilterHalo^3 values, the leaf from kMostFilterWidth on; what the pass
     /// does not reach may be anything.
     void (*filter_leaf)(const kernel::FilterPass& pass, const float* halo, float band_vox, float* out);

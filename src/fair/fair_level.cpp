@@ -22,6 +22,35 @@ namespace {
 
 constexpr float kBand = kFairBand_vox;
 
+/// Says of outside tiles how far nothing else is.
+void find_free_places(Level& level) {
+    constexpr int kMost = 64;
+    const int sx = level.size[0], sy = level.size[1], sz = level.size[2];
+    const auto pass = [&](int step) {
+        const auto first = [step](int size) { return step > 0 ? 0 : size - 1; };
+        for (int x = first(sx); x >= 0 && x < sx; x += step)
+            for (int y = first(sy); y >= 0 && y < sy; y += step)
+                for (int z = first(sz); z >= 0 && z < sz; z += step) {
+                    int32_t& here = level.leaf_at[(static_cast<size_t>(x) * static_cast<size_t>(sy) + static_cast<size_t>(y)) * static_cast<size_t>(sz) +
+                                                  static_cast<size_t>(z)];
+                    if (!kernel::is_outside(here)) continue;
+                    int free = step > 0 ? kMost : kernel::free_places(here);
+                    for (int n = 0; n < 13; ++n) {  // the neighbours that this pass has been at
+                        const int dx = n / 9 - 1, dy = n / 3 % 3 - 1, dz = n % 3 - 1;
+                        const int u = x + step * dx, v = y + step * dy, w = z + step * dz;
+                        if (u < 0 || v < 0 || w < 0 || u >= sx || v >= sy || w >= sz) continue;
+                        const int32_t beside =
+                            level.leaf_at[(static_cast<size_t>(u) * static_cast<size_t>(sy) + static_cast<size_t>(v)) * static_cast<size_t>(sz) +
+                                          static_cast<size_t>(w)];
+                        free = std::min(free, kernel::is_outside(beside) ? kernel::free_places(beside) + 1 : 1);
+                    }
+                    here = kernel::outside_tile(free);
+                }
+    };
+    pass(1);
+    pass(-1);
+}
+
 /// Numbers the leaves: the places of the lattice that are not a tile.
 void number_leaves(Level& level) {
     level.origin.clear();
@@ -31,6 +60,7 @@ void number_leaves(Level& level) {
         level.leaf_at[p] = n++;
         level.origin.emplace_back(8 * x, 8 * y, 8 * z);
     });
+    find_free_places(level);
 }
 
 void cover(Level& level, const std::array<int, 3>& lo, const std::array<int, 3>& hi) {
@@ -65,35 +95,18 @@ void fill_halo(const Level& level, const std::vector<float>& values, size_t n, i
             }
 }
 
-struct Blur {
-    float weight[kernel::kFairReach + 1];
-
-    explicit Blur(double width_vox) {
-        double w[kernel::kFairReach + 1], sum = 0;
-        for (int n = 0; n <= kernel::kFairReach; ++n) {
-            w[n] = std::exp(-n * n / (2 * width_vox * width_vox));
-            sum += n ? 2 * w[n] : w[n];
-        }
-        for (int n = 0; n <= kernel::kFairReach; ++n) weight[n] = static_cast<float>(w[n] / sum);
+/// Of a Gaussian, by distance.
+std::array<float, kernel::kFairReach + 1> blur_weights(double width_vox) {
+    std::array<double, kernel::kFairReach + 1> w{};
+    double sum = 0;
+    for (size_t n = 0; n < w.size(); ++n) {
+        w[n] = std::exp(-static_cast<double>(n * n) / (2 * width_vox * width_vox));
+        sum += n ? 2 * w[n] : w[n];
     }
-    /// Of values that are `stride` apart.
-    float along(const float* p, int stride) const {
-        float sum = weight[0] * p[0];
-        for (int n = 1; n <= kernel::kFairReach; ++n) sum += weight[n] * (p[-n * stride] + p[n * stride]);
-        return sum;
-    }
-    void leaf(const float* halo, float* out) const {
-        constexpr int R = kernel::kFairReach, S = 8 + 2 * R;
-        float x[8 * S * S], y[8 * 8 * S];
-        for (int i = 0; i < 8; ++i)
-            for (int q = 0; q < S * S; ++q) x[i * S * S + q] = along(halo + (i + R) * S * S + q, S * S);
-        for (int i = 0; i < 8; ++i)
-            for (int j = 0; j < 8; ++j)
-                for (int k = 0; k < S; ++k) y[(i * 8 + j) * S + k] = along(x + (i * S + j + R) * S + k, S);
-        for (int row = 0; row < 64; ++row)
-            for (int k = 0; k < 8; ++k) out[row * 8 + k] = along(y + row * S + k + R, 1);
-    }
-};
+    std::array<float, kernel::kFairReach + 1> out{};
+    for (size_t n = 0; n < w.size(); ++n) out[n] = static_cast<float>(w[n] / sum);
+    return out;
+}
 
 }  // namespace
 
@@ -103,36 +116,79 @@ double Level::volume_vox(const Values& values) const {
     return sum + static_cast<double>(kLeafVoxels) * static_cast<double>(std::count(leaf_at.begin(), leaf_at.end(), kInsideTile));
 }
 
+namespace {
+
+/// A leaf's cells reach one voxel beyond it.
+void find_least_of(const Level& level, Values& values, size_t n) {
+    const FairField f = level.view(values);
+    const Coord o = level.origin[n];
+    float least = kBand;
+    for (int c = 0; c < 8; ++c) {
+        const int32_t m = f.leaf(o.x() + 8 * (c >> 2), o.y() + 8 * (c >> 1 & 1), o.z() + 8 * (c & 1));
+        if (m < 0) {
+            least = kernel::min_f(least, FairField::tile(m));
+            continue;
+        }
+        const float* leaf = values.of.data() + static_cast<size_t>(m) * kLeafVoxels;
+        for (int i = 0; i < (c & 4 ? 1 : 8); ++i)
+            for (int j = 0; j < (c & 2 ? 1 : 8); ++j)
+                for (int k = 0; k < (c & 1 ? 1 : 8); ++k) least = kernel::min_f(least, leaf[i << 6 | j << 3 | k]);
+    }
+    values.least[n] = least;
+}
+
+}  // namespace
+
 void find_least(const Level& level, Values& values) {
     values.least.resize(level.leaves());
+    level.for_leaves([&](size_t n) { find_least_of(level, values, n); });
+}
+
+void update_least(const Level& level, Values& values, const std::vector<size_t>& changed) {
+    const FairField f = level.view(values);
+    std::vector<uint8_t> stale(level.leaves());
+    std::vector<size_t> asks;
+    for (const size_t n : changed)
+        for (int c = 0; c < 8; ++c) {
+            const Coord o = level.origin[n];
+            const int32_t m = f.leaf(o.x() - 8 * (c >> 2), o.y() - 8 * (c >> 1 & 1), o.z() - 8 * (c & 1));
+            if (m < 0 || stale[static_cast<size_t>(m)]) continue;
+            stale[static_cast<size_t>(m)] = 1;
+            asks.push_back(static_cast<size_t>(m));
+        }
+    Level::for_each_of(asks.size(), [&](size_t n) { find_least_of(level, values, asks[n]); });
+}
+
+namespace {
+
+void blur_leaves(const Level& level, const float* weight, const std::vector<float>& from, std::vector<float>& to) {
+    constexpr int kSide = 8 + 2 * kernel::kFairReach;
+    const VectorLoops& loops = vector_loops();
+    to.resize(from.size());
     level.for_leaves([&](size_t n) {
-        float halo[10 * 10 * 10], least = kBand;
-        fill_halo(level, values.of, n, 1, halo);
-        for (int i = 1; i < 10; ++i)
-            for (int j = 1; j < 10; ++j)
-                for (int k = 1; k < 10; ++k) least = kernel::min_f(least, halo[(i * 10 + j) * 10 + k]);
-        values.least[n] = least;
+        float halo[kSide * kSide * kSide];
+        fill_halo(level, from, n, kernel::kFairReach, halo);
+        loops.blur_leaf(halo, weight, to.data() + n * kLeafVoxels);
     });
 }
 
-void move(Level& level, double width_vox) {
-    const Blur blur(width_vox);
-    std::vector<float> blurred(level.field.of.size());
+}  // namespace
+
+void move(Level& level, double width_vox, bool stiff) {
+    const auto weight = blur_weights(width_vox);
+    const VectorLoops& loops = vector_loops();
+    std::vector<float>& blurred = level.scratch;
+    blur_leaves(level, weight.data(), level.field.of, blurred);
+    if (stiff) {
+        blur_leaves(level, weight.data(), blurred, level.more_scratch);
+        level.for_leaves([&](size_t n) {
+            for (size_t at = n * kLeafVoxels; at < (n + 1) * kLeafVoxels; ++at) blurred[at] += blurred[at] - level.more_scratch[at];
+        });
+    }
     level.for_leaves([&](size_t n) {
-        constexpr int kSide = 8 + 2 * kernel::kFairReach;
-        float halo[kSide * kSide * kSide];
-        fill_halo(level, level.field.of, n, kernel::kFairReach, halo);
-        blur.leaf(halo, blurred.data() + n * kLeafVoxels);
-    });
-    level.for_leaves([&](size_t n) {
-        constexpr int kSide = 10;
-        float halo[kSide * kSide * kSide];
+        float halo[10 * 10 * 10];
         fill_halo(level, blurred, n, 1, halo);
-        for (int q = 0; q < static_cast<int>(kLeafVoxels); ++q) {
-            const float* here = halo + (((q >> 6) + 1) * kSide + (q >> 3 & 7) + 1) * kSide + (q & 7) + 1;
-            const size_t at = n * kLeafVoxels + static_cast<size_t>(q);
-            level.field.of[at] = kernel::straightened([here](int i, int j, int k) { return here[(i * kSide + j) * kSide + k]; }, level.hull.of[at]);
-        }
+        loops.straighten_leaf(halo, level.hull.of.data() + n * kLeafVoxels, level.field.of.data() + n * kLeafVoxels);
     });
 }
 
@@ -270,72 +326,97 @@ Level carried_over(const Level& fine, const Level& coarse) {
 
 namespace {
 
-/// Numbers the pieces of the inside, connected by faces of voxels.
+/// The pieces of the inside, connected by faces of voxels: found leaf by leaf, then joined across the leaves' faces.
 class Pieces {
   public:
-    explicit Pieces(const Level& level) : field_(level.view(level.field)), level_(level), of_(level.field.of.size(), -1), of_tile_(level.leaf_at.size(), -1) {
+    explicit Pieces(const Level& level) : level_(level), of_(level.field.of.size()), first_(level.leaves() + 1) {
+        level.for_leaves([&](size_t n) { first_[n + 1] = number_leaf(n); });
+        for (size_t n = 0; n < level.leaves(); ++n) first_[n + 1] += first_[n];
+        tiles_ = first_.back();
+        parent_.resize(tiles_ + level.leaf_at.size());
+        for (size_t n = 0; n < parent_.size(); ++n) parent_[n] = n;
+        level.each_place([&](size_t p, int x, int y, int z) {
+            if (kernel::is_outside(level.leaf_at[p])) return;
+            const int o[3] = {8 * x, 8 * y, 8 * z};
+            for (int axis = 0; axis < 3; ++axis)
+                if (o[axis] >> 3 != level.lo[static_cast<size_t>(axis)]) join(p, o, axis);
+        });
+        sizes_.resize(parent_.size());
         for (size_t at = 0; at < of_.size(); ++at)
-            if (level.field.of[at] < 0.f && of_[at] < 0) {
-                const Coord o = level.origin[at / kLeafVoxels];
-                const int q = static_cast<int>(at % kLeafVoxels);
-                sizes_.push_back(0);
-                reach({o.x() + (q >> 6), o.y() + (q >> 3 & 7), o.z() + (q & 7)});
-                while (!open_.empty()) {
-                    const Coord c = open_.back();
-                    open_.pop_back();
-                    go_on_from(c);
-                }
-            }
+            if (of_[at]) ++sizes_[root(first_[at / kLeafVoxels] + of_[at] - 1)];
+        for (size_t p = 0; p < level.leaf_at.size(); ++p)
+            if (level.leaf_at[p] == kInsideTile) sizes_[root(tiles_ + p)] += kLeafVoxels;
     }
-    /// Of a voxel; -1: outside.
-    int32_t at(size_t place) const { return of_[place]; }
-    /// Voxels of each piece.
+    /// Voxels of the piece that a voxel belongs to; 0: it is outside.
+    size_t size_at(size_t voxel) { return of_[voxel] ? sizes_[root(first_[voxel / kLeafVoxels] + of_[voxel] - 1)] : 0; }
+    /// Of every piece, by no order; 0: none.
     const std::vector<size_t>& sizes() const { return sizes_; }
 
   private:
-    void reach(const Coord& c) {
-        const int64_t p = field_.place(c.x(), c.y(), c.z());
-        if (p == kOutsideTile) return;
-        int32_t& piece = p == kInsideTile ? of_tile_[level_.place(c.x() >> 3, c.y() >> 3, c.z() >> 3)] : of_[static_cast<size_t>(p)];
-        if (piece >= 0 || (p >= 0 && level_.field.of[static_cast<size_t>(p)] >= 0.f)) return;
-        piece = static_cast<int32_t>(sizes_.size() - 1);
-        sizes_.back() += p == kInsideTile ? kLeafVoxels : 1;
-        open_.push_back(c);
-    }
-    void go_on_from(const Coord& c) {
-        const bool tile = field_.place(c.x(), c.y(), c.z()) == kInsideTile;
-        const Coord lo = tile ? Coord(c.x() & ~7, c.y() & ~7, c.z() & ~7) : c;
-        const int side = tile ? 8 : 1;
-        for (int axis = 0; axis < 3; ++axis)
-            for (const int step : {-1, side})
-                for (int u = 0; u < side; ++u)
-                    for (int v = 0; v < side; ++v) {
-                        Coord d = lo;
-                        d[axis] += step;
-                        d[(axis + 1) % 3] += u;
-                        d[(axis + 2) % 3] += v;
-                        reach(d);
+    size_t number_leaf(size_t n) {
+        const float* values = level_.field.of.data() + n * kLeafVoxels;
+        uint16_t* of = of_.data() + n * kLeafVoxels;
+        uint16_t pieces = 0, open[kLeafVoxels];
+        for (uint16_t start = 0; start < kLeafVoxels; ++start) {
+            if (of[start] || values[start] >= 0.f) continue;
+            size_t count = 0;
+            of[start] = ++pieces;
+            open[count++] = start;
+            while (count) {
+                const uint16_t q = open[--count];
+                for (const int shift : {6, 3, 0})
+                    for (const int step : {-1, 1}) {
+                        if ((q >> shift & 7) == (step < 0 ? 0 : 7)) continue;
+                        const auto r = static_cast<uint16_t>(q + step * (1 << shift));
+                        if (of[r] || values[r] >= 0.f) continue;
+                        of[r] = pieces;
+                        open[count++] = r;
                     }
+            }
+        }
+        return pieces;
+    }
+    size_t root(size_t n) {
+        while (parent_[n] != n) n = parent_[n] = parent_[parent_[n]];
+        return n;
+    }
+    /// The label of voxel q of a place; the label beyond every label where it is outside.
+    size_t label(size_t place, size_t q) const {
+        const int32_t n = level_.leaf_at[place];
+        if (n == kInsideTile) return tiles_ + place;
+        const uint16_t piece = n < 0 ? uint16_t{0} : of_[static_cast<size_t>(n) * kLeafVoxels + q];
+        return piece ? first_[static_cast<size_t>(n)] + piece - 1 : parent_.size();
+    }
+    /// Joins a place with the one before it along an axis.
+    void join(size_t place, const int o[3], int axis) {
+        int before[3] = {o[0] >> 3, o[1] >> 3, o[2] >> 3};
+        --before[axis];
+        const size_t beside = level_.place(before[0], before[1], before[2]);
+        if (kernel::is_outside(level_.leaf_at[beside])) return;
+        const int across = axis == 0 ? 6 : axis == 1 ? 3 : 0, u = axis == 0 ? 3 : 6, v = axis == 2 ? 3 : 0;
+        for (size_t a = 0; a < 8; ++a)
+            for (size_t b = 0; b < 8; ++b) {
+                const size_t q = a << u | b << v, mine = label(place, q), theirs = label(beside, q | size_t{7} << across);
+                if (mine < parent_.size() && theirs < parent_.size()) parent_[root(mine)] = root(theirs);
+            }
     }
 
-    const FairField field_;
     const Level& level_;
-    std::vector<int32_t> of_, of_tile_;
-    std::vector<size_t> sizes_;
-    std::vector<Coord> open_;
+    std::vector<uint16_t> of_;  ///< by voxel, number of the piece within the leaf, from 1
+    std::vector<size_t> first_, parent_, sizes_;
+    size_t tiles_ = 0;  ///< labels of tiles begin here, by place
 };
 
 }  // namespace
 
 size_t drop_pieces(Level& level, double share) {
-    const Pieces pieces(level);
-    const std::vector<size_t>& sizes = pieces.sizes();
-    if (sizes.empty()) return 0;
-    const double least = share * static_cast<double>(*std::max_element(sizes.begin(), sizes.end()));
-    const auto goes = [&](int32_t piece) { return static_cast<double>(sizes[static_cast<size_t>(piece)]) < least; };
-    for (size_t at = 0; at < level.field.of.size(); ++at)
-        if (pieces.at(at) >= 0 && goes(pieces.at(at))) level.field.of[at] = 1.f;
-    return static_cast<size_t>(std::count_if(sizes.begin(), sizes.end(), [&](size_t s) { return static_cast<double>(s) < least; }));
+    Pieces pieces(level);
+    const double least = share * static_cast<double>(*std::max_element(pieces.sizes().begin(), pieces.sizes().end()));
+    const auto goes = [&](size_t size) { return size > 0 && static_cast<double>(size) < least; };
+    const auto dropped = static_cast<size_t>(std::count_if(pieces.sizes().begin(), pieces.sizes().end(), goes));
+    for (size_t at = 0; dropped > 0 && at < level.field.of.size(); ++at)
+        if (goes(pieces.size_at(at))) level.field.of[at] = 1.f;
+    return dropped;
 }
 
 openvdb::FloatGrid::Ptr grid_of(const Level& level, const openvdb::FloatGrid& hull) {
@@ -347,7 +428,7 @@ openvdb::FloatGrid::Ptr grid_of(const Level& level, const openvdb::FloatGrid& hu
     out->setGridClass(openvdb::GRID_LEVEL_SET);
     level.each_place([&](size_t p, int x, int y, int z) {
         const int32_t n = level.leaf_at[p];
-        if (n == kOutsideTile) return;
+        if (kernel::is_outside(n)) return;
         const Coord o(8 * x, 8 * y, 8 * z);
         const float* from = n < 0 ? nullptr : level.field.of.data() + static_cast<size_t>(n) * kLeafVoxels;
         const auto all = [&](auto&& test) { return std::all_of(from, from + kLeafVoxels, test); };

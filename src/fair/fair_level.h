@@ -27,7 +27,7 @@ struct Level {
     std::vector<int32_t> leaf_at;        ///< kernel::FairField
     std::vector<openvdb::Coord> origin;  ///< of each leaf, voxels
     Values hull, field;
-    std::vector<float> scratch;  ///< as many as field has
+    std::vector<float> scratch, more_scratch;  ///< as many as field has, for move()
 
     size_t leaves() const { return origin.size(); }
     kernel::FairField view(const Values& values) const {
@@ -47,7 +47,12 @@ struct Level {
     }
     template <class Work>
     void for_leaves(const Work& work) const {
-        tbb::parallel_for(tbb::blocked_range<size_t>(0, leaves(), 8), [&](const tbb::blocked_range<size_t>& range) {
+        for_each_of(leaves(), work);
+    }
+    /// work(n) for n below `count`, by all threads.
+    template <class Work>
+    static void for_each_of(size_t count, const Work& work) {
+        tbb::parallel_for(tbb::blocked_range<size_t>(0, count, 8), [&](const tbb::blocked_range<size_t>& range) {
             for (size_t n = range.begin(); n < range.end(); ++n) work(n);
         });
     }
@@ -63,10 +68,13 @@ Level coarser(const Level& fine, bool whole);
 /// hull shows beyond the coarser one.
 Level carried_over(const Level& fine, const Level& coarse);
 
-/// One step of motion: a Gaussian blur of the clipped distances, then kernel::straightened.
-void move(Level& level, double width_vox);
+/// One step of motion: a Gaussian blur of the clipped distances, then kernel::straightened. `stiff`: what the blur takes away is blurred, too, and put back:
+/// ridges go, and what is smooth stays where it is (motion by how curvature changes instead of by curvature).
+void move(Level& level, double width_vox, bool stiff);
 /// Updates Values::least of every leaf.
 void find_least(const Level& level, Values& values);
+/// The same where the values of those leaves changed.
+void update_least(const Level& level, Values& values, const std::vector<size_t>& changed);
 /// Signs stay, distances become true again (kernel/level_set.h).
 void make_distances(const Level& level, std::vector<float>& values);
 /// Takes away what hangs in the air: pieces of the inside with fewer voxels than `share` of the largest. Returns how many.

@@ -13,20 +13,14 @@ namespace vdbcarve::fairing {
 using kernel::FairCell;
 using kernel::FairEye;
 using kernel::FairField;
+using kernel::FairLine;
+using kernel::FairOpen;
 using kernel::FairRay;
 using kernel::kFairBand_vox;
 using openvdb::Coord;
 
 namespace {
 
-/// A line counts as met this little above its target, so that the last bit needs no round of its own.
-constexpr float kSlack_vox = 0.02f;
-/// The contour is kept where the surface is at most so far from it.
-constexpr float kNearContour_vox = 0.3f;
-/// Lines this far inside the contour, in pixels, must meet the surface; those nearer to it, down to a pixel outside, keep the contour.
-constexpr float kMust_px = -0.5f;
-/// As deep as that is covered.
-constexpr float kCovered_vox = -0.1f;
 /// Rounds after which a cell is put back to the hull's values.
 constexpr int kPatience = 40;
 /// What is as near to the surface as this becomes part of it when it is lowered; farther away it would hang in the air.
@@ -35,6 +29,10 @@ constexpr float kBeside_vox = 1.f;
 constexpr int kLongestBridge_vox = 48;
 constexpr float kBridgeDepth_vox = -0.5f;
 constexpr int kReach_samples = 4;
+/// Wide enough for the eight voxels around a place.
+constexpr float kAlone_vox = 2.f;
+/// Side of the squares of samples that are asked at once.
+constexpr int kSquare = 4;
 
 float sample(const SampledField& f, int x, int y) {
     return static_cast<float>(f.samples[static_cast<size_t>(y) * static_cast<size_t>(f.width) + static_cast<size_t>(x)]) / kernel::kFieldUnits;
@@ -84,7 +82,7 @@ double pixels_per_voxel(const Level& level, const Vec3d& origin, double voxel, c
 
 }  // namespace
 
-SightLines::SightLines(Level& level, const Level* coarse, const openvdb::math::Transform& finest, const std::vector<FairView>& views, int scale,
+SightLines::SightLines(Level& level, const Level* coarse, const openvdb::math::Transform& finest, const std::vector<FairView>& views, int scale, bool exact,
                        Progress& progress)
     : level_(level), coarse_(coarse) {
     const double voxel = finest.voxelSize()[0] * (1 << level.shift);
@@ -92,6 +90,7 @@ SightLines::SightLines(Level& level, const Level* coarse, const openvdb::math::T
     scale_ = std::max(scale, 1);
     if (scale == 0)
         for (const double px = pixels_per_voxel(level, origin, voxel, views); 2 * scale_ <= px;) scale_ *= 2;
+    exact_ = exact && scale_ == 1;
     std::vector<MaskView> masks;
     for (const FairView& v : views) {
         masks.push_back(v.mask);
@@ -105,23 +104,35 @@ SightLines::SightLines(Level& level, const Level* coarse, const openvdb::math::T
 }
 
 template <class Visit>
-std::vector<Line> SightLines::each_sample(const Visit& visit) const {
+SightLines::Lines SightLines::each_square(const Visit& visit) const {
     struct Row {
         uint32_t view;
         int y;
     };
     std::vector<Row> rows;
     for (size_t u = 0; u < fields_.size(); ++u)
-        for (int y = 0; y < (fields_[u].silhouette.empty() ? 0 : fields_[u].silhouette.height); ++y) rows.push_back({static_cast<uint32_t>(u), y});
-    constexpr size_t kRows = 16;
-    std::vector<std::vector<Line>> found((rows.size() + kRows - 1) / kRows);
+        for (int y = 0; y < (fields_[u].silhouette.empty() ? 0 : fields_[u].silhouette.height); y += kSquare) rows.push_back({static_cast<uint32_t>(u), y});
+    constexpr size_t kRows = 4;
+    std::vector<Lines> found((rows.size() + kRows - 1) / kRows);
     tbb::parallel_for(size_t{0}, found.size(), [&](size_t c) {
-        for (size_t n = c * kRows; n < std::min(rows.size(), (c + 1) * kRows); ++n)
-            for (int x = 0; x < fields_[rows[n].view].silhouette.width; ++x) visit(rows[n].view, x, rows[n].y, found[c]);
+        for (size_t n = c * kRows; n < std::min(rows.size(), (c + 1) * kRows); ++n) {
+            int there = 0;
+            for (int x = 0; x < fields_[rows[n].view].silhouette.width; x += kSquare) visit(rows[n].view, x, rows[n].y, there, found[c]);
+        }
     });
-    std::vector<Line> out;
-    for (const auto& part : found) out.insert(out.end(), part.begin(), part.end());
+    Lines out;
+    for (size_t n = 0; n < kShares; ++n)
+        for (const Lines& part : found) out[n].insert(out[n].end(), part[n].begin(), part[n].end());
     return out;
+}
+
+/// visit(i, j, distance) for samples that say something.
+template <class Visit>
+void SightLines::each_sample_of(uint32_t view, int i0, int j0, int side, const Visit& visit) const {
+    const SampledField& s = fields_[view].silhouette;
+    for (int j = j0; j < std::min(j0 + side, s.height); ++j)
+        for (int i = i0; i < std::min(i0 + side, s.width); ++i)
+            if (!says_nothing(fields_[view], s.x0 + i, s.y0 + j)) visit(i, j, sample(s, i, j));
 }
 
 size_t SightLines::inside_samples() const {
@@ -129,194 +140,136 @@ size_t SightLines::inside_samples() const {
     tbb::parallel_for(size_t{0}, fields_.size(), [&](size_t u) {
         const SampledField& s = fields_[u].silhouette;
         size_t here = 0;
-        for (int y = 0; y < (s.empty() ? 0 : s.height); ++y)
-            for (int x = 0; x < s.width; ++x) here += sample(s, x, y) <= kMust_px && !says_nothing(fields_[u], s.x0 + x, s.y0 + y);
+        if (!s.empty())
+            each_sample_of(static_cast<uint32_t>(u), 0, 0, std::max(s.width, s.height),
+                           [&here](int, int, float inside) { here += inside <= kernel::kFairMust_samples; });
         count += here;
     });
     return count;
 }
 
-void SightLines::add(std::vector<Line>& out, const FairRay& ray, float target) const {
-    Line line{ray, target + kSlack_vox, 0, 0, false, true};
-    if (line.target >= kFairBand_vox) return;  // the hull is not there either
-    deep_span(level_.view(level_.hull), ray, line.target, line.first, line.last);
-    out.push_back(line);
+namespace {
+
+/// Which fourth of the lines a sample's belongs to; 0 and 1 are the colours of a chessboard of which 2 and 3 are the other.
+size_t share_of(int i, int j) { return static_cast<size_t>(((i + j) & 1) << 1 | (i & 1)); }
+
+void add(std::array<std::vector<FairLine>, 4>& out, const SampledField& s, uint32_t view, int i, int j, FairLine& line) {
+    line.view = view;
+    line.sample = static_cast<uint32_t>(j * s.width + i);
+    out[share_of(i, j)].push_back(line);
 }
+
+}  // namespace
 
 void SightLines::find_rim() {
     const FairField hull = level_.view(level_.hull);
-    rim_ = each_sample([&](uint32_t u, int i, int j, std::vector<Line>& out) {
+    rim_ = each_square([&](uint32_t u, int i0, int j0, int&, Lines& out) {
         const SampledField& s = fields_[u].silhouette;
-        const float d = sample(s, i, j);
-        const int x = s.x0 + i, y = s.y0 + j;
-        FairRay ray;
-        if (d <= -1.f || d >= 1.f || says_nothing(fields_[u], x, y) || !line_of_sight(eyes_[u], hull, x, y, ray)) return;
-        const float least = least_on(hull, ray, -kFairBand_vox);
-        // Never more than the mask says: with misses allowed, the hull reaches beyond some.
-        add(out, ray, kernel::max_f(least, d * ray.sample_vox));
-        if (d <= kMust_px) out.push_back({ray, kCovered_vox, 0, ray.last, true, false});
+        each_sample_of(u, i0, j0, kSquare, [&](int i, int j, float inside) {
+            FairLine line;
+            if (std::fabs(inside) < 1.f && (exact_ || share_of(i, j) < 2) && kernel::rim_line(eyes_[u], hull, s.x0 + i, s.y0 + j, inside, line))
+                add(out, s, u, i, j, line);
+        });
     });
 }
 
-void SightLines::cover_by_balls(float safe_vox) {
-    // A leaf that lies inside holds a ball of four voxels. Whatever the camera's skew, what it covers of the picture holds a disc of its size at its depth.
-    constexpr double kRadius = 4;
+void SightLines::ask_square(uint32_t u, int i0, int j0, int side, float safe_vox, bool all, int& there, Lines& out) const {
+    const SampledField& s = fields_[u].silhouette;
     const FairField f = level_.view(level_.field);
-    std::vector<std::array<double, 3>> balls;
-    level_.each_place([&](size_t p, int x, int y, int z) {
-        const int32_t n = level_.leaf_at[p];
-        if (n == kernel::kOutsideTile) return;
-        if (n >= 0) {
-            float most = -kFairBand_vox;
-            for (size_t q = 0; q < kLeafVoxels; ++q) most = kernel::max_f(most, f.values[static_cast<size_t>(n) * kLeafVoxels + q]);
-            if (most > safe_vox) return;
-        }
-        balls.push_back({8.0 * x + 3.5, 8.0 * y + 3.5, 8.0 * z + 3.5});
-    });
-    covered_.resize(fields_.size());
-    tbb::parallel_for(size_t{0}, fields_.size(), [&](size_t u) {
-        const SampledField& s = fields_[u].silhouette;
-        const FairEye& e = eyes_[u];
-        std::vector<uint8_t>& out = covered_[u];
-        out.assign(s.empty() ? 0 : static_cast<size_t>(s.width) * static_cast<size_t>(s.height), 0);
-        if (out.empty()) return;
-        for (const auto& ball : balls) {
-            double q[3] = {0, 0, 0};
-            for (size_t a = 0; a < 3; ++a)
-                for (size_t c = 0; c < 3; ++c) q[a] += e.axes[c][a] * (ball[c] - e.centre[c]);
-            if (!e.orthographic && q[2] <= 2 * kRadius) continue;
-            const double size = e.orthographic ? 1 / e.inverse_voxel : 1 / q[2];  // of a voxel, without the focal length
-            const double cx = size * (e.fx * q[0] + e.skew * q[1]) + e.cx - s.x0 - 0.5, cy = size * e.fy * q[1] + e.cy - s.y0 - 0.5;
-            // Half a voxel less: samples of a line lie half a voxel apart.
-            const double radius = std::min(e.fx, e.fy) / (1 + std::fabs(e.skew) / e.fx) * size * (kRadius - 0.5);
-            for (int y = std::max(0, static_cast<int>(std::ceil(cy - radius))); y <= std::min(s.height - 1, static_cast<int>(std::floor(cy + radius))); ++y) {
-                const double half = std::sqrt(std::max(0.0, radius * radius - (y - cy) * (y - cy)));
-                const int first = std::max(0, static_cast<int>(std::ceil(cx - half))), last = std::min(s.width - 1, static_cast<int>(std::floor(cx + half)));
-                if (first <= last)
-                    std::memset(out.data() + static_cast<size_t>(y) * static_cast<size_t>(s.width) + static_cast<size_t>(first), 1,
-                                static_cast<size_t>(last - first + 1));
-            }
-        }
-    });
+    bool asks = false;
+    each_sample_of(u, i0, j0, side, [&asks](int, int, float inside) { asks |= inside <= -1.f; });
+    if (!asks || (side > 1 && kernel::covers_square(eyes_[u], f, s.x0 + i0, s.y0 + j0, side, there))) return;
+    if (side > 1) {
+        for (int n = 0; n < 4; ++n) ask_square(u, i0 + (n & 1) * side / 2, j0 + (n >> 1) * side / 2, side / 2, safe_vox, all, there, out);
+        return;
+    }
+    if (!(all && exact_) && share_of(i0, j0) >= (exact_ ? 1 : 2)) return;
+    const int x = s.x0 + i0, y = s.y0 + j0;
+    FairLine line;
+    // Where all are asked most are deep enough, and where is known from the one before.
+    if (all && line_of_sight(eyes_[u], f, x + 0.5, y + 0.5, line.ray) && kernel::is_deep(f, line.ray, kernel::min_f(safe_vox, -line.ray.sample_vox), there))
+        return;
+    if (kernel::near_line(eyes_[u], f, x, y, safe_vox, line)) add(out, s, u, i0, j0, line);
 }
 
-void SightLines::find_near(float safe_vox) {
+void SightLines::find_near(float safe_vox, bool all) {
     find_least(level_, level_.field);
-    cover_by_balls(kernel::min_f(safe_vox, -1.f));
-    const FairField f = level_.view(level_.field);
-    near_ = each_sample([&](uint32_t u, int i, int j, std::vector<Line>& out) {
-        const SampledField& s = fields_[u].silhouette;
-        const int x = s.x0 + i, y = s.y0 + j;
-        FairRay ray;
-        if (sample(s, i, j) > -1.f || covered_[u][static_cast<size_t>(j) * static_cast<size_t>(s.width) + static_cast<size_t>(i)] ||
-            says_nothing(fields_[u], x, y) || !line_of_sight(eyes_[u], f, x, y, ray))
-            return;
-        const float deep = -ray.sample_vox;
-        if (!reaches(f, ray, 0, ray.last, kernel::min_f(safe_vox, deep))) out.push_back({ray, deep, 0, ray.last, true, false});
-    });
+    near_ = each_square([&](uint32_t u, int i0, int j0, int& there, Lines& out) { ask_square(u, i0, j0, kSquare, safe_vox, all, there, out); });
 }
 
-template <class Lowering>
-void SightLines::lower_around(const Open& open, bool to_the_hull, const Lowering& lower) const {
-    const FairField f = level_.view(level_.field), hull = level_.view(level_.hull);
-    const FairCell c = sample_cell(open.line->ray, open.place.sample);
-    const float fall = kernel::max_f(value_in(f, f.leaf(c.i, c.j, c.k), c) - open.line->target, 0.f);
-    for (int i = -kernel::kDentReach; i <= kernel::kDentReach + 1; ++i)
-        for (int j = -kernel::kDentReach; j <= kernel::kDentReach + 1; ++j)
-            for (int k = -kernel::kDentReach; k <= kernel::kDentReach + 1; ++k) {
-                const bool corner = ((i | j | k) & ~1) == 0;
-                const float share = kernel::dent(static_cast<float>(i) - c.a, static_cast<float>(j) - c.b, static_cast<float>(k) - c.c);
-                if (share <= 0.f && !corner) continue;
-                const int64_t at = f.place(c.i + i, c.j + j, c.k + k);
-                if (at < 0) continue;
-                const float now = f.values[at], floor = hull.values[at];
-                const float wanted = to_the_hull ? (corner ? floor : now) : kernel::max_f(floor, now - share * fall - (corner ? 0.01f : 0.f));
-                if (wanted < now) lower(at, wanted);
-            }
-}
-
-SightLines::Round SightLines::look(const std::vector<Line*>& lines, float grows_from) const {
+SightLines::Round SightLines::look(const std::vector<FairLine*>& lines, float grows_from) const {
     const FairField f = level_.view(level_.field), hull = level_.view(level_.hull), coarse = coarse_ ? coarse_->view(coarse_->field) : FairField{};
     constexpr size_t kLines = 256;
     std::vector<Round> parts((lines.size() + kLines - 1) / kLines);
     tbb::parallel_for(size_t{0}, parts.size(), [&](size_t p) {
-        Round& part = parts[p];
         for (size_t n = p * kLines; n < std::min(lines.size(), (p + 1) * kLines); ++n) {
-            Line& line = *lines[n];
-            if (reaches(f, line.ray, line.first, line.last, line.target)) continue;
-            if (!line.settled) {  // what the hull allows is asked of the few that need it
-                line.settled = true;
-                line.target = kernel::max_f(least_on(hull, line.ray, line.target), line.target) + kSlack_vox;
-                deep_span(hull, line.ray, line.target, line.first, line.last);
-                if (line.target >= kFairBand_vox || reaches(f, line.ray, line.first, line.last, line.target)) continue;
-            }
-            const kernel::NearestPlace place = nearest_place(f, hull, coarse, line.ray, line.first, line.last, line.target);
-            if (place.sample < 0 || (!line.must && place.value > kNearContour_vox)) continue;
-            part.open.push_back(&line);
-            (place.value < grows_from ? part.beside : part.alone).push_back({&line, place});
+            const FairOpen open = kernel::look_along(f, hull, coarse, *lines[n]);
+            if (open.place.sample >= 0) (open.place.value < grows_from ? parts[p].beside : parts[p].alone).push_back({lines[n], open});
         }
     });
     Round out;
-    const auto join = [&parts](auto& into, auto Round::*member) {
-        for (const Round& part : parts) into.insert(into.end(), (part.*member).begin(), (part.*member).end());
-    };
-    join(out.open, &Round::open);
-    join(out.beside, &Round::beside);
-    join(out.alone, &Round::alone);
+    for (const Round& part : parts) {
+        out.beside.insert(out.beside.end(), part.beside.begin(), part.beside.end());
+        out.alone.insert(out.alone.end(), part.alone.begin(), part.alone.end());
+    }
     return out;
 }
 
-bool SightLines::grow(const std::vector<Open>& open, bool to_the_hull) {
-    constexpr size_t kFew = 4096;
-    if (open.size() < kFew) {
-        std::vector<Lower> all;
-        for (const Open& o : open) lower_around(o, to_the_hull, [&](int64_t at, float value) { all.push_back({at, value}); });
-        return apply(all);
-    }
-    // Each is reckoned from the field as it was; where two meet the lower counts, so no order matters.
-    std::vector<float>& next = level_.scratch;
-    next = level_.field.of;
+bool SightLines::grow(const std::vector<Open>& open, float along_vox, bool to_the_hull) {
+    // Each is reckoned from the field as it was, and where two meet the larger fall counts, so no order matters.
+    const FairField f = level_.view(level_.field), hull = level_.view(level_.hull);
+    fall_.resize(level_.field.of.size());
+    falls_.resize(level_.leaves());
     tbb::parallel_for(tbb::blocked_range<size_t>(0, open.size(), 64), [&](const tbb::blocked_range<size_t>& range) {
         for (size_t n = range.begin(); n < range.end(); ++n)
-            lower_around(open[n], to_the_hull, [&](int64_t at, float value) {
-                const std::atomic_ref<float> cell(next[static_cast<size_t>(at)]);
+            kernel::lower_around(f, hull, *open[n].line, open[n].at, along_vox, to_the_hull, [&](int64_t at, float by) {
+                const std::atomic_ref<float> cell(fall_[static_cast<size_t>(at)]);
                 float now = cell.load(std::memory_order_relaxed);
-                while (value < now && !cell.compare_exchange_weak(now, value, std::memory_order_relaxed)) {
+                while (by > now && !cell.compare_exchange_weak(now, by, std::memory_order_relaxed)) {
                 }
+                const std::atomic_ref<uint8_t> leaf(falls_[static_cast<size_t>(at) / kLeafVoxels]);
+                if (!leaf.load(std::memory_order_relaxed)) leaf.store(1, std::memory_order_relaxed);
             });
     });
-    level_.field.of.swap(next);
-    find_least(level_, level_.field);
-    return true;
+    return fall();
 }
 
-bool SightLines::apply(const std::vector<Lower>& lower) {
-    const FairField f = level_.view(level_.field);
-    bool changed = false;
-    for (const Lower& l : lower) {
-        float& v = level_.field.of[static_cast<size_t>(l.at)];
-        if (!(l.value < v)) continue;
-        v = l.value;
-        changed = true;
-        // The leaf's cells have it, and at its lower borders the cells of leaves before it.
-        const Coord o = level_.origin[static_cast<size_t>(l.at) / kLeafVoxels];
-        const int q = static_cast<int>(static_cast<size_t>(l.at) % kLeafVoxels);
-        for (int n = 0; n < 8; ++n) {
-            if ((n & 4 && q >> 6) || (n & 2 && (q >> 3 & 7)) || (n & 1 && (q & 7))) continue;
-            const int32_t leaf = f.leaf(o.x() - (n & 4 ? 8 : 0), o.y() - (n & 2 ? 8 : 0), o.z() - (n & 1 ? 8 : 0));
-            if (leaf < 0) continue;
-            float& least = level_.field.least[static_cast<size_t>(leaf)];
-            least = kernel::min_f(least, v);
+bool SightLines::fall() {
+    std::vector<size_t> leaves;
+    for (size_t n = 0; n < falls_.size(); ++n)
+        if (falls_[n]) leaves.push_back(n);
+    std::atomic<bool> changed{false};
+    Level::for_each_of(leaves.size(), [&](size_t l) {
+        bool here = false;
+        for (size_t at = leaves[l] * kLeafVoxels; at < (leaves[l] + 1) * kLeafVoxels; ++at) {
+            float& v = level_.field.of[at];
+            const float lower = kernel::max_f(v - fall_[at], level_.hull.of[at]);
+            fall_[at] = 0.f;
+            here |= lower < v;
+            v = kernel::min_f(v, lower);
         }
-    }
+        falls_[leaves[l]] = 0;
+        if (here) changed.store(true, std::memory_order_relaxed);
+    });
+    if (changed) update_least(level_, level_.field, leaves);
     return changed;
+}
+
+bool SightLines::lower(const std::vector<int64_t>& voxels, float to_vox) {
+    fall_.resize(level_.field.of.size());
+    falls_.resize(level_.leaves());
+    for (const int64_t at : voxels) {
+        fall_[static_cast<size_t>(at)] = kernel::max_f(0.f, level_.field.of[static_cast<size_t>(at)] - to_vox);
+        falls_[static_cast<size_t>(at) / kLeafVoxels] = 1;
+    }
+    return fall();
 }
 
 bool SightLines::bridge(const Coord& from) {
     const FairField f = level_.view(level_.field), hull = level_.view(level_.hull);
     std::unordered_map<Coord, Coord> came_from{{from, from}};
     std::deque<Coord> open{from};
-    std::vector<Lower> path;
+    std::vector<int64_t> path;
     while (!open.empty() && path.empty()) {
         const Coord c = open.front();
         open.pop_front();
@@ -328,8 +281,7 @@ bool SightLines::bridge(const Coord& from) {
                 const int64_t p = f.place(d.x(), d.y(), d.z());
                 if (p == kernel::kInsideTile || (p >= 0 && f.values[p] < 0.f)) {
                     for (Coord back = c;; back = came_from[back]) {
-                        const int64_t at = f.place(back.x(), back.y(), back.z());
-                        path.push_back({at, kernel::max_f(hull.values[at], kBridgeDepth_vox)});
+                        path.push_back(f.place(back.x(), back.y(), back.z()));
                         if (back == from) break;
                     }
                     break;
@@ -339,40 +291,42 @@ bool SightLines::bridge(const Coord& from) {
                 open.push_back(d);
             }
     }
-    return apply(path);
+    return lower(path, kBridgeDepth_vox);
 }
 
 bool SightLines::reach_alone(const std::vector<Open>& alone) {
     bool changed = false;
     for (const Open& open : alone) {
         const FairField f = level_.view(level_.field), hull = level_.view(level_.hull);
-        const FairCell c = sample_cell(open.line->ray, open.place.sample);
-        if (value_in(f, f.leaf(c.i, c.j, c.k), c) <= open.line->target) continue;  // by one before
+        const FairCell c = sample_cell(open.line->ray, open.at.place.sample);
+        if (value_in(f, f.leaf(c.i, c.j, c.k), c) <= open.at.target) continue;  // by one before
         Coord deepest(c.i, c.j, c.k);
         for (int n = 1; n < 8; ++n) {
             const Coord corner(c.i + (n >> 2), c.j + (n >> 1 & 1), c.k + (n & 1));
             if (hull.at(corner.x(), corner.y(), corner.z()) < hull.at(deepest.x(), deepest.y(), deepest.z())) deepest = corner;
         }
         if (f.place(deepest.x(), deepest.y(), deepest.z()) >= 0) changed |= bridge(deepest);
-        std::vector<Lower> lower;
-        lower_around(open, true, [&](int64_t at, float value) { lower.push_back({at, value}); });
-        changed |= apply(lower);
+        changed |= grow({open}, kAlone_vox, true);
     }
     return changed;
 }
 
-void SightLines::repair(int rounds, bool anywhere, std::optional<size_t> half) {
-    std::vector<Line*> open;
-    for (std::vector<Line>* lines : {&rim_, &near_})
-        for (size_t n = half.value_or(0); n < lines->size(); n += half ? 2 : 1) open.push_back(&(*lines)[n]);
+void SightLines::repair(int rounds, float along_vox, bool anywhere, std::optional<size_t> share) {
+    std::vector<FairLine*> open;
+    for (Lines* lines : {&rim_, &near_})
+        for (size_t n = 0; n < kShares; ++n)
+            if (!share || *share % (exact_ ? kShares : kShares / 2) == n)
+                for (FairLine& line : (*lines)[n]) open.push_back(&line);
     find_least(level_, level_.field);
     for (int round = 0; round < rounds && !open.empty(); ++round) {
-        Round found = look(open, anywhere ? kBeside_vox : kFairBand_vox - 1e-3f);
-        open.swap(found.open);
+        const Round found = look(open, anywhere ? kBeside_vox : kFairBand_vox - 1e-3f);
+        open.clear();
+        for (const auto* part : {&found.beside, &found.alone})
+            for (const Open& o : *part) open.push_back(o.line);
         // Growing from the surface comes first; what has nothing near waits until that ends.
-        if (!grow(found.beside, round >= kPatience) && !(anywhere && reach_alone(found.alone))) break;
+        if (!grow(found.beside, along_vox, round >= kPatience) && !(anywhere && reach_alone(found.alone))) break;
     }
-    open_ = static_cast<size_t>(std::count_if(open.begin(), open.end(), [](const Line* line) { return line->must; }));
+    open_ = static_cast<size_t>(std::count_if(open.begin(), open.end(), [](const FairLine* line) { return line->must < kFairBand_vox; }));
 }
 
 }  // namespace vdbcarve::fairing

@@ -9,7 +9,9 @@
 
 #include <atomic>
 #include <cmath>
+#include <random>
 
+#include "base/vector_loops.h"
 #include "support/same_grid.h"
 #include "support/scenes.h"
 #include "vdbcarve/carve.h"
@@ -147,6 +149,29 @@ TEST(Fair, SameBitsForAnyNumberOfThreads) {
     const Faired f(small_spec("cup", 8, 160, 120), 160);
     const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
     expect_same(*f.result.surface, *f.again().surface);
+}
+
+TEST(Fair, SameBitsForInstructionSets) {
+    std::mt19937 engine(3);
+    std::vector<float> halo(16 * 16 * 16), hull(512);
+    for (float& v : halo) v = static_cast<float>(engine()) * 0x1p-30f - 2.f;
+    for (float& v : hull) v = static_cast<float>(engine()) * 0x1p-31f - 2.f;
+    const float weight[5] = {0.3f, 0.2f, 0.1f, 0.04f, 0.01f};
+    std::vector<std::vector<float>> results;
+    for (const VectorLoops* loops : all_vector_loops()) {
+        std::vector<float> out(1024);
+        loops->blur_leaf(halo.data(), weight, out.data());
+        loops->straighten_leaf(halo.data(), hull.data(), out.data() + 512);
+        results.push_back(out);
+    }
+    for (const auto& r : results) EXPECT_EQ(r, results.front());
+    double sum = 0;
+    for (int i = -4; i <= 4; ++i)
+        for (int j = -4; j <= 4; ++j)
+            for (int k = -4; k <= 4; ++k)
+                sum += static_cast<double>(weight[std::abs(i)]) * static_cast<double>(weight[std::abs(j)]) * static_cast<double>(weight[std::abs(k)]) *
+                       static_cast<double>(halo[static_cast<size_t>(((i + 6) * 16 + j + 9) * 16 + k + 11)]);
+    EXPECT_NEAR(static_cast<double>(results.front()[2 << 6 | 5 << 3 | 7]), sum, 1e-6);
 }
 
 TEST(Fair, NothingIsForcedWhereNothingIsSeen) {

@@ -8,21 +8,25 @@
 #include <cstdint>
 
 #include "vdbcarve/kernel/carve.h"
+#include "vdbcarve/kernel/fair_motion.h"
 #include "vdbcarve/kernel/filter.h"
 #include "vdbcarve/kernel/host_device.h"
 #include "vdbcarve/kernel/min_max.h"
 
 namespace vdbcarve::kernel {
 
-inline constexpr float kFairBand_vox = 3.f;
-/// Voxels on either side that a step of motion looks at.
-inline constexpr int kFairReach = 4;
 /// A line of sight is looked at every half voxel.
 inline constexpr float kSightStep_vox = 0.5f;
 
+/// An outside tile, where no place of the lattice nearer than `free` places (along every axis; 1: itself) is anything else. So lines of sight cross empty space
+/// in few steps.
+VDBCARVE_HD int32_t outside_tile(int free) { return free < 2 ? kOutsideTile : -1 - free; }
+VDBCARVE_HD bool is_outside(int32_t number) { return number < 0 && number != kInsideTile; }
+VDBCARVE_HD int free_places(int32_t number) { return number < kInsideTile ? -1 - number : 1; }
+
 /// Values of leaves of 8^3 voxels, and a lattice that says where each leaf lies. Borrowed.
 struct FairField {
-    const int32_t* leaf_at;  ///< by place in the lattice, x leads: number of the leaf, or kOutsideTile, kInsideTile
+    const int32_t* leaf_at;  ///< by place in the lattice, x leads: number of the leaf, kInsideTile, or outside_tile()
     int lo[3], size[3];      ///< of the lattice, leaves
     const float* values;     ///< 512 a leaf, i << 6 | j << 3 | k
     const float* least;      ///< of every leaf, the least value that a point of its cells can have
@@ -53,9 +57,15 @@ struct FairCell {
     float a, b, c;
 };
 
+/// std::floor is a call where the instruction set does not have it.
+VDBCARVE_HD int floor_of(float x) {
+    const int n = static_cast<int>(x);
+    return n - (x < static_cast<float>(n));
+}
+
 VDBCARVE_HD FairCell fair_cell(float x, float y, float z) {
-    const float fi = std::floor(x), fj = std::floor(y), fk = std::floor(z);
-    return {static_cast<int>(fi), static_cast<int>(fj), static_cast<int>(fk), x - fi, y - fj, z - fk};
+    const int i = floor_of(x), j = floor_of(y), k = floor_of(z);
+    return {i, j, k, x - static_cast<float>(i), y - static_cast<float>(j), z - static_cast<float>(k)};
 }
 
 /// The eight values around, of which number n is (n >> 2, n >> 1 & 1, n & 1) voxels away from the first. `number`: of the leaf that holds the first.
@@ -73,7 +83,16 @@ VDBCARVE_HD void cell_values(const FairField& f, int32_t number, const FairCell&
         v[7] = p[73];
         return;
     }
-    for (int n = 0; n < 8; ++n) v[n] = f.at(c.i + (n >> 2), c.j + (n >> 1 & 1), c.k + (n & 1));
+    // The axes along which the cell reaches into the next leaf.
+    const int crosses = (i == 7 ? 4 : 0) | (j == 7 ? 2 : 0) | (k == 7 ? 1 : 0);
+    int32_t leaves[8];
+    leaves[0] = number;
+    for (int n = 0; n < 8; ++n) {
+        const int x = n >> 2, y = n >> 1 & 1, z = n & 1, leaf = n & crosses;
+        if (n && n == leaf) leaves[n] = f.leaf(c.i + x, c.j + y, c.k + z);
+        const int32_t m = leaves[leaf];
+        v[n] = m < 0 ? FairField::tile(m) : f.values[static_cast<int64_t>(m) * 512 + (((i + x) & 7) << 6 | ((j + y) & 7) << 3 | ((k + z) & 7))];
+    }
 }
 
 VDBCARVE_HD float trilinear(const float v[8], const FairCell& c) {
@@ -110,12 +129,13 @@ struct FairRay {
     float from[3], along[3];  ///< where it enters; unit
     float inverse[3];
     int last;          ///< of its samples, at from + (n + 1/2) * kSightStep_vox * along
-    float sample_vox;  ///< size of a sample of the view, halfway
+    float sample_vox;  ///< size of a sample of the view, halfway through the lattice
+    float most_vox;    ///< and where it leaves the lattice
 };
 
-/// The line of sight through the middle of sample (x, y); false where it misses the lattice.
-VDBCARVE_HD bool line_of_sight(const FairEye& e, const FairField& f, int x, int y, FairRay& ray) {
-    const double my = (y + 0.5 - e.cy) * e.inverse_fy, mx = (x + 0.5 - e.cx - e.skew * my) * e.inverse_fx;
+/// The line of sight through a point of the picture, samples; false where it misses the lattice.
+VDBCARVE_HD bool line_of_sight(const FairEye& e, const FairField& f, double x, double y, FairRay& ray) {
+    const double my = (y - e.cy) * e.inverse_fy, mx = (x - e.cx - e.skew * my) * e.inverse_fx;
     double from[3], along[3], length2 = 0;
     for (int a = 0; a < 3; ++a) {
         const double across = e.axes[a][0] * mx + e.axes[a][1] * my;
@@ -145,6 +165,7 @@ VDBCARVE_HD bool line_of_sight(const FairEye& e, const FairField& f, int x, int 
     ray.last = static_cast<int>((leave - enter) / static_cast<double>(kSightStep_vox) - 0.5);
     const double inverse_f = e.inverse_fx < e.inverse_fy ? e.inverse_fx : e.inverse_fy;
     ray.sample_vox = static_cast<float>(inverse_f * (e.orthographic ? e.inverse_voxel : 0.5 * (enter + leave) * inverse_length));
+    ray.most_vox = static_cast<float>(inverse_f * (e.orthographic ? e.inverse_voxel : leave * inverse_length));
     return true;
 }
 
@@ -153,112 +174,278 @@ VDBCARVE_HD FairCell sample_cell(const FairRay& r, int n) {
     return fair_cell(r.from[0] + t * r.along[0], r.from[1] + t * r.along[1], r.from[2] + t * r.along[2]);
 }
 
-/// The first sample beyond the leaf, or tile, that holds sample n's cell.
-VDBCARVE_HD int sample_beyond(const FairRay& r, const FairCell& c, int n) {
-    const int corner[3] = {c.i & ~7, c.j & ~7, c.k & ~7};
+/// The first sample beyond the leaf, or tile, that holds sample n's cell; `number`: of it. `step`: 1 or -1, the way.
+VDBCARVE_HD int sample_beyond(const FairRay& r, const FairCell& c, int n, int32_t number, int step = 1) {
+    const int corner[3] = {c.i & ~7, c.j & ~7, c.k & ~7}, more = 8 * (free_places(number) - 1);
     float leave = 1e30f;
-    for (int a = 0; a < 3; ++a)
-        if (r.along[a] != 0.f) leave = min_f(leave, (static_cast<float>(r.along[a] > 0.f ? corner[a] + 8 : corner[a]) - r.from[a]) * r.inverse[a]);
-    const int next = static_cast<int>(leave * (1.f / kSightStep_vox) + 0.5f);
-    return next > n ? next : n + 1;
-}
-
-/// Whether a sample of first..last is at or below `enough`.
-VDBCARVE_HD bool reaches(const FairField& f, const FairRay& r, int first, int last, float enough) {
-    for (int n = first; n <= last;) {
-        const FairCell c = sample_cell(r, n);
-        const int32_t number = f.leaf(c.i, c.j, c.k);
-        if (f.least_in(number) > enough) {
-            n = sample_beyond(r, c, n);
-            continue;
-        }
-        if (number < 0 || value_in(f, number, c) <= enough) return true;
-        ++n;
+    for (int a = 0; a < 3; ++a) {
+        const bool far = (r.along[a] > 0.f) == (step > 0);
+        const float at = static_cast<float>(far ? corner[a] + 8 + more : corner[a] - more) - r.from[a];
+        if (r.along[a] != 0.f) leave = min_f(leave, static_cast<float>(step) * at * r.inverse[a]);
     }
-    return false;
+    if (step > 0) {
+        const int next = static_cast<int>(leave * (1.f / kSightStep_vox) + 0.5f);
+        return next > n ? next : n + 1;
+    }
+    const int next = static_cast<int>(-leave * (1.f / kSightStep_vox) - 0.5f);
+    return next < n ? next : n - 1;
 }
 
-/// The least value on the way, kFairBand_vox at most; stops at the first that is `enough`.
-VDBCARVE_HD float least_on(const FairField& f, const FairRay& r, float enough) {
-    float best = kFairBand_vox;
+/// How many samples further the field can be lower by 1: it changes by less than 2 along a voxel, the hull, which holds distances, by less than 1.25.
+inline constexpr float kFieldSamples = 1.f, kHullSamples = 1.6f;
+/// The next sample that can be so much lower.
+VDBCARVE_HD int sample_lower(int n, float by, float samples) {
+    const int more = static_cast<int>(by * samples);
+    return n + (more > 1 ? more : 1);
+}
+
+/// The least value on the way and the sample that has it; stops at the first that is `enough`. Nothing that is not below `most` counts.
+VDBCARVE_HD float least_below(const FairField& f, const FairRay& r, float samples, float most, float enough, int& at) {
+    float best = most;
+    at = 0;
     for (int n = 0; n <= r.last;) {
         const FairCell c = sample_cell(r, n);
         const int32_t number = f.leaf(c.i, c.j, c.k);
         if (f.least_in(number) >= best) {
-            n = sample_beyond(r, c, n);
+            n = sample_beyond(r, c, n, number);
             continue;
         }
-        best = min_f(best, number < 0 ? FairField::tile(number) : value_in(f, number, c));
+        const float value = number < 0 ? FairField::tile(number) : value_in(f, number, c);
+        if (value < best) {
+            best = value;
+            at = n;
+        }
         if (best <= enough) return best;
-        ++n;
+        n = sample_lower(n, value - best, samples);
     }
     return best;
 }
 
-/// First and last sample where the hull is at most `deep`: the surface lies above the hull, so it can reach `deep` nowhere else.
-VDBCARVE_HD void deep_span(const FairField& hull, const FairRay& r, float deep, int& first, int& last) {
-    first = r.last + 1;
-    last = -1;
-    for (int n = 0; n <= r.last;) {
+/// The same without a bound, kFairBand_vox at most. `guess`: about what it will be; most of the way is passed over more quickly then.
+VDBCARVE_HD float least_on(const FairField& f, const FairRay& r, float samples, float guess, float enough, int& at) {
+    const float most = min_f(guess + 1.f, kFairBand_vox), least = least_below(f, r, samples, most, enough, at);
+    return least < most || most >= kFairBand_vox ? least : least_below(f, r, samples, kFairBand_vox, enough, at);
+}
+
+/// The sample of first..last, or last..first, that comes first on the way (step 1 or -1) and where the hull is at most `deep`; `last` + step: none.
+VDBCARVE_HD int first_deep(const FairField& hull, const FairRay& r, int first, int last, int step, float deep) {
+    for (int n = first; step > 0 ? n <= last : n >= last;) {
         const FairCell c = sample_cell(r, n);
         const int32_t number = hull.leaf(c.i, c.j, c.k);
         if (hull.least_in(number) > deep) {
-            n = sample_beyond(r, c, n);
+            n = sample_beyond(r, c, n, number, step);
             continue;
         }
-        const int next = number < 0 ? sample_beyond(r, c, n) : n + 1;
-        if (number < 0 || value_in(hull, number, c) <= deep) {
-            if (first > n) first = n;
-            last = next - 1 < r.last ? next - 1 : r.last;
-        }
-        n = next;
+        const float value = number < 0 ? FairField::tile(number) : value_in(hull, number, c);
+        if (value <= deep) return n;
+        n += step * (sample_lower(n, value - deep, kHullSamples) - n);
     }
+    return last + step;
+}
+/// A first and a last sample between which lies all of the line where the hull is at most `deep`: the surface lies above the hull, so it can reach `deep`
+/// nowhere else. Lines graze the hull for long; a little more than needed is found sooner.
+VDBCARVE_HD void deep_span(const FairField& hull, const FairRay& r, float deep, int& first, int& last) {
+    deep += 0.25f;
+    first = first_deep(hull, r, 0, r.last, 1, deep);
+    last = first > r.last ? -1 : first_deep(hull, r, r.last, first, -1, deep);
 }
 
-/// Where on a line of sight the surface would have to move least to reach it.
+/// Where on a line of sight the surface would have to move least to fall to `deep`, or has: the search starts from sample `at`, which counts as such a place.
 struct NearestPlace {
-    float value = 1e9f;  ///< of the field there; beyond its band by the coarser level's
-    int sample = -1;     ///< none: the hull is nowhere so deep
+    float value;  ///< of the field there; beyond its band by the coarser level's
+    int sample;
 };
-VDBCARVE_HD NearestPlace nearest_place(const FairField& f, const FairField& hull, const FairField& coarser, const FairRay& r, int first, int last, float deep) {
-    NearestPlace best;
-    for (int n = first; n <= last;) {
+VDBCARVE_HD NearestPlace nearest_place(const FairField& f, const FairField& hull, const FairField& coarser, const FairRay& r, int first, int last, float deep,
+                                       int at) {
+    const auto value_at = [&](int32_t number, const FairCell& c, int n, float near) {
+        if (near < kFairBand_vox - 1e-3f) return near;
+        const float t = (static_cast<float>(n) + 0.5f) * kSightStep_vox;
+        const float far =
+            coarser.leaf_at ? coarser_value(coarser, r.from[0] + t * r.along[0], r.from[1] + t * r.along[1], r.from[2] + t * r.along[2]) : kFairBand_vox;
+        return max_f(kFairBand_vox, far) + 0.01f * value_in(hull, number, c);
+    };
+    const FairCell start = sample_cell(r, at);
+    const int32_t there = f.leaf(start.i, start.j, start.k);
+    NearestPlace best{there < 0 ? 2 * FairField::tile(there) : value_at(there, start, at, value_in(f, there, start)), at};
+    for (int n = first; n <= last && best.value > deep;) {
         const FairCell c = sample_cell(r, n);
         const int32_t number = f.leaf(c.i, c.j, c.k);
         if (number < 0 || hull.least[number] > deep || (best.value < kFairBand_vox && f.least[number] >= best.value)) {
-            n = sample_beyond(r, c, n);
+            n = sample_beyond(r, c, n, number);
+            continue;
+        }
+        const float near = value_in(f, number, c);
+        if (best.value < kFairBand_vox && near >= best.value) {
+            n = sample_lower(n, near - best.value, kFieldSamples);
             continue;
         }
         const float depth = value_in(hull, number, c);
-        if (depth <= deep) {
-            float value = value_in(f, number, c);
-            if (value >= kFairBand_vox - 1e-3f) {
-                const float t = (static_cast<float>(n) + 0.5f) * kSightStep_vox;
-                const float far = coarser.leaf_at ? coarser_value(coarser, r.from[0] + t * r.along[0], r.from[1] + t * r.along[1], r.from[2] + t * r.along[2])
-                                                  : kFairBand_vox;
-                value = max_f(kFairBand_vox, far) + 0.01f * depth;
-            }
-            if (value < best.value) best = {value, n};
+        if (depth > deep) {
+            n = sample_lower(n, depth - deep, kHullSamples);
+            continue;
         }
+        const float value = value_at(number, c, n, near);
+        if (value < best.value) best = {value, n};
         ++n;
     }
     return best;
 }
 
-/// The field over its slope, so that it stays nearly a distance, kept to the band and above the hull.
-template <class At>
-VDBCARVE_HD float straightened(const At& at, float hull) {
-    const float gx = 0.5f * (at(1, 0, 0) - at(-1, 0, 0)), gy = 0.5f * (at(0, 1, 0) - at(0, -1, 0)), gz = 0.5f * (at(0, 0, 1) - at(0, 0, -1));
-    const float slope = std::sqrt((gx * gx + gy * gy) + gz * gz);
-    return max_f(clamp_f(at(0, 0, 0) / max_f(slope, 0.3f), -kFairBand_vox, kFairBand_vox), hull);
+/// A line counts as met this little above its target, so that the last bit needs no round of its own.
+inline constexpr float kFairSlack_vox = 0.02f;
+/// Lines this far inside the contour, in samples, must meet the surface; those nearer to it, down to a sample outside, keep the contour.
+inline constexpr float kFairMust_samples = -0.5f;
+/// As deep as that is covered.
+inline constexpr float kFairCovered_vox = -0.1f;
+/// The contour is kept where the surface is at most so far from it.
+inline constexpr float kFairNearContour_vox = 0.3f;
+
+/// What a sample's line of sight asks of the field: to fall to `must` somewhere between its samples `first` and `last`, and to `keep` where the surface is
+/// near.
+struct FairLine {
+    FairRay ray;
+    float keep, must;     ///< keep <= must; must kFairBand_vox: it need not be met
+    int32_t first, last;  ///< of the ray's samples
+    int32_t met;          ///< where it last was met
+    int32_t settled;      ///< what the hull allows is part of the above
+    uint32_t view, sample;
+};
+
+/// The line of a sample `inside` samples inside the contour (negative), or outside it; within 1. False: it asks nothing, the hull is not there.
+VDBCARVE_HD bool rim_line(const FairEye& e, const FairField& hull, int x, int y, float inside, FairLine& line) {
+    if (!line_of_sight(e, hull, x + 0.5, y + 0.5, line.ray)) return false;
+    // Never more than the mask says: with misses allowed, the hull reaches beyond some.
+    const float most = inside * line.ray.sample_vox, enough = inside <= kFairMust_samples ? min_f(most, kFairCovered_vox) : most;
+    const float least = least_on(hull, line.ray, kHullSamples, most, enough, line.met);
+    line.keep = max_f(least, most) + kFairSlack_vox;
+    if (line.keep >= kFairBand_vox) return false;
+    line.must = kFairBand_vox;
+    if (inside <= kFairMust_samples) {
+        line.must = max_f(least, kFairCovered_vox) + kFairSlack_vox;
+        line.keep = min_f(line.keep, line.must);
+    }
+    deep_span(hull, line.ray, line.must < kFairBand_vox ? line.must : line.keep, line.first, line.last);
+    line.settled = 1;
+    return true;
 }
 
-/// Where a line of sight pulls the surface, it pulls what lies around with it, so that no point of its own stands out: the share of the fall at so many voxels
-/// from the place. A little more than 1 there, so that the place itself, between voxels, falls far enough.
-inline constexpr int kDentReach = 2;
-VDBCARVE_HD float dent(float x, float y, float z) {
-    const float far = 1.f - ((x * x + y * y) + z * z) * (1.f / 6);
+/// The line of a sample deeper inside; false: the field is `safe` deep on it, or deeper.
+VDBCARVE_HD bool near_line(const FairEye& e, const FairField& f, int x, int y, float safe, FairLine& line) {
+    if (!line_of_sight(e, f, x + 0.5, y + 0.5, line.ray)) return false;
+    line.keep = line.must = -line.ray.sample_vox;
+    line.first = 0;
+    line.last = line.ray.last;
+    line.settled = 0;
+    const float enough = min_f(safe, line.must);
+    return least_on(f, line.ray, kFieldSamples, 0.f, enough, line.met) > enough;
+}
+
+/// Whether the field is `enough` deep somewhere on a line of sight. `there`: where it was on a line beside this one, and is on this one; that saves most of the
+/// way and changes no answer, for every sample of leaves that reach so deep is looked at.
+VDBCARVE_HD bool is_deep(const FairField& f, const FairRay& ray, float enough, int& there) {
+    bool begun = false;
+    for (int n = there <= ray.last ? there : 0; n <= ray.last;) {
+        const FairCell c = sample_cell(ray, n);
+        const int32_t number = f.leaf(c.i, c.j, c.k);
+        const bool can = f.least_in(number) <= enough;
+        if (can && (number < 0 || value_in(f, number, c) <= enough)) {
+            there = n;
+            return true;
+        }
+        n = !begun ? 0 : can ? n + 1 : sample_beyond(ray, c, n, number);
+        begun = true;
+    }
+    return false;
+}
+
+/// Whether all lines through a square of samples meet the field because the one through its middle is so deep in it. Distances change by no more than one
+/// voxel a voxel, so it must be deeper than the square's corners are away. `there`: is_deep().
+VDBCARVE_HD bool covers_square(const FairEye& e, const FairField& f, int x, int y, int side, int& there) {
+    constexpr float kDeep_vox = kFairBand_vox - 0.1f, kRest_vox = 0.35f;  // half of a step between samples, and to be covered
+    const float half = 0.5f * static_cast<float>(side);
+    FairRay ray;
+    return line_of_sight(e, f, x + static_cast<double>(half), y + static_cast<double>(half), ray) &&
+           (half - 0.5f) * 1.4143f * ray.most_vox + kRest_vox <= kDeep_vox && is_deep(f, ray, -kDeep_vox, there);
+}
+
+/// What a line still asks for: the field must fall to `target` at `place`; place.sample < 0: nothing.
+struct FairOpen {
+    NearestPlace place;
+    float target;
+};
+VDBCARVE_HD FairOpen look_along(const FairField& f, const FairField& hull, const FairField& coarser, FairLine& line) {
+    const FairOpen met{{0.f, -1}, 0.f};
+    if (line.first > line.last) return met;
+    const FairCell before = sample_cell(line.ray, line.met);
+    const int32_t number = f.leaf(before.i, before.j, before.k);
+    if ((number < 0 ? FairField::tile(number) : value_in(f, number, before)) <= line.keep) return met;
+    if (!line.settled) {  // what the hull allows is asked of the few that need it
+        line.settled = 1;
+        line.keep = line.must = max_f(least_on(hull, line.ray, kHullSamples, 0.f, line.must, line.met), line.must) + kFairSlack_vox;
+        line.first = line.ray.last + 1;
+        line.last = -1;
+        if (line.keep >= kFairBand_vox) return met;
+        deep_span(hull, line.ray, line.keep, line.first, line.last);
+    }
+    NearestPlace place = nearest_place(f, hull, coarser, line.ray, line.first, line.last, line.keep, line.met);
+    line.met = place.sample;
+    if (place.value <= line.keep) return met;
+    if (place.value <= kFairNearContour_vox || line.must <= line.keep) return {place, line.keep};
+    if (line.must >= kFairBand_vox || place.value <= line.must) return met;
+    place = nearest_place(f, hull, coarser, line.ray, line.first, line.last, line.must, line.met);
+    return place.value <= line.must ? met : FairOpen{place, line.must};
+}
+
+/// Where a line of sight pulls the surface, it pulls what lies around with it, so that no point of its own stands out: an ellipsoid of so many voxels across
+/// and along the line.
+struct FairDent {
+    float along[3], across2, along2;  ///< the line's direction; 1 / half axis^2
+    int reach[3];                     ///< voxels
+};
+VDBCARVE_HD FairDent dent_along(const FairRay& r, float along_vox) {
+    constexpr float kAcross_vox = 2.45f;
+    FairDent d{};
+    d.across2 = 1.f / (kAcross_vox * kAcross_vox);
+    d.along2 = 1.f / (along_vox * along_vox);
+    for (int a = 0; a < 3; ++a) {
+        const float share = r.along[a] * r.along[a];
+        d.along[a] = r.along[a];
+        d.reach[a] = static_cast<int>(std::sqrt(kAcross_vox * kAcross_vox * (1.f - share) + along_vox * along_vox * share));
+    }
+    return d;
+}
+/// The share of the fall at so many voxels from the place: a little more than 1 there, so that the place itself, between voxels, falls far enough.
+VDBCARVE_HD float share_of_dent(const FairDent& d, float x, float y, float z) {
+    const float t = (x * d.along[0] + y * d.along[1]) + z * d.along[2];
+    const float far = 1.f - ((((x * x + y * y) + z * z) - t * t) * d.across2 + t * t * d.along2);
     return far <= 0.f ? 0.f : 1.4f * far * far;
+}
+
+/// Calls lower(voxel, by) for what must fall so that the line meets the field. `to_the_hull`: the eight voxels around the place fall as far as the hull does.
+template <class Lower>
+VDBCARVE_HD void lower_around(const FairField& f, const FairField& hull, const FairLine& line, const FairOpen& open, float along_vox, bool to_the_hull,
+                              const Lower& lower) {
+    constexpr float kMore_vox = 0.01f;  // so that rounding leaves nothing open
+    const FairCell c = sample_cell(line.ray, open.place.sample);
+    const float fall = max_f(value_in(f, f.leaf(c.i, c.j, c.k), c) - open.target, 0.f);
+    const FairDent d = dent_along(line.ray, along_vox);
+    const int reach[3] = {to_the_hull ? 0 : d.reach[0], to_the_hull ? 0 : d.reach[1], to_the_hull ? 0 : d.reach[2]};
+    for (int i = -reach[0]; i <= reach[0] + 1; ++i)
+        for (int j = -reach[1]; j <= reach[1] + 1; ++j) {
+            int32_t number = kOutsideTile;
+            bool known = false;
+            for (int k = -reach[2]; k <= reach[2] + 1; ++k) {
+                known = known && ((c.k + k) & 7);
+                const float share = share_of_dent(d, static_cast<float>(i) - c.a, static_cast<float>(j) - c.b, static_cast<float>(k) - c.c);
+                if (share <= 0.f) continue;
+                if (!known) number = f.leaf(c.i + i, c.j + j, c.k + k);
+                known = true;
+                if (number < 0) continue;
+                const bool corner = ((i | j | k) & ~1) == 0;
+                lower(static_cast<int64_t>(number) * 512 + (((c.i + i) & 7) << 6 | ((c.j + j) & 7) << 3 | ((c.k + k) & 7)),
+                      to_the_hull ? 2.f * kFairBand_vox : share * fall + (corner ? kMore_vox : 0.f));
+            }
+        }
 }
 
 }  // namespace vdbcarve::kernel
