@@ -8,19 +8,12 @@ namespace {
 
 using namespace kernel;
 
-__device__ int block_of(const TopologyView& t, int x, int y, int z) {
-    const int bx = (x >> 7) - t.lo[0], by = (y >> 7) - t.lo[1], bz = (z >> 7) - t.lo[2];
-    if (bx < 0 || by < 0 || bz < 0 || bx >= t.size[0] || by >= t.size[1] || bz >= t.size[2]) return -1;
-    return t.block_at[(static_cast<int64_t>(bx) * t.size[1] + by) * t.size[2] + bz];
-}
-__device__ int offset_of(int x, int y, int z) { return (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15); }
-
 /// A thread a word of the old topology.
 __global__ void copy_inside(TopologyView from, TopologyView to) {
     const int n = blockIdx.x * blockDim.x + threadIdx.x, block = n / kBlockWords;
     if (block >= from.blocks) return;
     const int4 o = from.origin[block];
-    to.inside[static_cast<size_t>(block_of(to, o.x, o.y, o.z)) * kBlockWords + n % kBlockWords] = from.inside[n];
+    to.inside[static_cast<size_t>(to.block_of(o.x, o.y, o.z)) * kBlockWords + n % kBlockWords] = from.inside[n];
 }
 
 /// A warp a leaf: itself, and the leaves beside it where its outermost voxels are in the band.
@@ -45,7 +38,7 @@ __global__ void grow(const Grid::Leaf* leaves, const uint32_t* keys, uint32_t co
         const int step = lane % 2 ? 8 : -8;
         (lane / 2 == 0 ? x : lane / 2 == 1 ? y : z) += step;
     }
-    TopologyView::mark(to.leaves, static_cast<uint32_t>(block_of(to, x, y, z)) * kBlockLeaves + static_cast<uint32_t>(offset_of(x, y, z)));
+    TopologyView::mark(to.leaves, static_cast<uint32_t>(to.block_of(x, y, z)) * kBlockLeaves + static_cast<uint32_t>(TopologyView::offset_of(x, y, z)));
 }
 
 /// A thread a word of the new topology.
@@ -66,8 +59,8 @@ __global__ void __launch_bounds__(kLeafVoxels)
     load_leaves(const Grid::Leaf* leaves, TopologyView from, TopologyView to, const uint32_t* keys, float voxel, float band, float band_vox, float* out) {
     const uint32_t n = blockIdx.x, key = keys[n];
     const int3 o = to.leaf_origin(key);
-    const int block = block_of(from, o.x, o.y, o.z);
-    const int64_t old = block < 0 ? -1 : from.leaf_number(block, offset_of(o.x, o.y, o.z));
+    const int block = from.block_of(o.x, o.y, o.z);
+    const int64_t old = block < 0 ? -1 : from.leaf_number(block, TopologyView::offset_of(o.x, o.y, o.z));
     const bool inside = to.inside[key / 64] >> (key & 63) & 1;
     out[static_cast<size_t>(n) * kLeafVoxels + threadIdx.x] = old >= 0 ? in_voxels(leaves[old].data()->mValues[threadIdx.x], voxel, band, band_vox)
                                                               : inside ? -band_vox
@@ -86,14 +79,12 @@ __global__ void list_surroundings(TopologyView t, const uint32_t* keys, uint32_t
     const int a = static_cast<int>(n % 27);
     const int3 o = t.leaf_origin(keys[n / 27]);
     const int x = o.x + 8 * (a / 9 - 1), y = o.y + 8 * (a / 3 % 3 - 1), z = o.z + 8 * (a % 3 - 1);
-    const int block = block_of(t, x, y, z);
+    const int block = t.block_of(x, y, z);
     int32_t found = kOutsideTile;
     if (block >= 0) {
-        const int offset = offset_of(x, y, z);
+        const int offset = TopologyView::offset_of(x, y, z);
         const int64_t leaf = t.leaf_number(block, offset);
-        found = leaf >= 0                                                                               ? static_cast<int32_t>(leaf)
-                : t.inside[static_cast<size_t>(block) * kBlockWords + offset / 64] >> (offset & 63) & 1 ? kInsideTile
-                                                                                                        : kOutsideTile;
+        found = leaf >= 0 ? static_cast<int32_t>(leaf) : t.is_inside(block, offset) ? kInsideTile : kOutsideTile;
     }
     out[n] = found;
 }

@@ -38,6 +38,15 @@ struct TopologyView {
 #if defined(__CUDACC__)
     /// Sets a leaf's bit in `leaves` or `inside`, by its key.
     __device__ static void mark(uint64_t* bits, uint32_t key) { atomicOr(reinterpret_cast<unsigned long long*>(bits) + key / 64, 1ull << (key & 63)); }
+    /// Number of the block that holds a voxel, or -1; and its leaf's offset in there.
+    __device__ int block_of(int x, int y, int z) const {
+        const int bx = (x >> 7) - lo[0], by = (y >> 7) - lo[1], bz = (z >> 7) - lo[2];
+        if (bx < 0 || by < 0 || bz < 0 || bx >= size[0] || by >= size[1] || bz >= size[2]) return -1;
+        return block_at[(static_cast<int64_t>(bx) * size[1] + by) * size[2] + bz];
+    }
+    __device__ static int offset_of(int x, int y, int z) { return (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15); }
+    /// Whether a leaf that does not exist lies inside.
+    __device__ bool is_inside(int block, int offset) const { return inside[static_cast<size_t>(block) * kBlockWords + offset / 64] >> (offset & 63) & 1; }
     /// Number of a leaf, or -1 where there is none.
     __device__ int64_t leaf_number(int block, int offset) const {
         const uint64_t word = leaves[block * kBlockWords + (offset >> 6)];

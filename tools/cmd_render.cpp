@@ -9,11 +9,8 @@
 
 namespace vdbcarve::cli {
 
-constexpr Word<RenderStyle> kStyleWords[] = {{"surface", RenderStyle::Surface},
-                                             {"voxels", RenderStyle::Voxels},
-                                             {"xray", RenderStyle::XRay},
-                                             {"slices", RenderStyle::Slice},
-                                             {"mesh", RenderStyle::Surface}};
+constexpr Word<RenderStyle> kStyleWords[] = {{"surface", RenderStyle::Surface}, {"voxels", RenderStyle::Voxels}, {"xray", RenderStyle::XRay},
+                                             {"slices", RenderStyle::Slice},    {"mesh", RenderStyle::Surface},  {"slack", RenderStyle::Surface}};
 
 Command add_render(CLI::App& program) {
     // Reads better whole: one option after the other, in the order in which --help lists them.
@@ -30,10 +27,13 @@ Command add_render(CLI::App& program) {
     app->add_option_function<std::string>(
            "--style",
            [raw](const std::string& text) {
-               raw->request.mesh = CLI::detail::to_lower(text) == "mesh";
-               if (!raw->request.mesh) raw->request.options.style = one_of("--style", text, Words(kStyleWords));
+               const std::string word = CLI::detail::to_lower(text);
+               raw->request.options.style = one_of("--style", word, Words(kStyleWords));
+               raw->request.mesh = word == "mesh";
+               raw->request.slack = word == "slack";
            },
-           "surface (default: the level set under light), voxels (as cubes, nothing interpolated), xray (how thick), slices, mesh (of a result: its mesh)")
+           "surface (default: the level set under light), voxels (as cubes, nothing interpolated), xray (how thick), slices, mesh (of a result: its mesh), "
+           "slack (how much the silhouettes leave open, as colours)")
         ->type_name("WORD");
     const char* where = "From where";
     app->add_option("--azimuth", o.orbit.azimuth_deg, "degrees around the up axis")->capture_default_str()->group(where);
@@ -92,7 +92,8 @@ Command add_render(CLI::App& program) {
         "  vdbcarve render out -o view.png --view 0007 --background none            what an input camera would see\n"
         "  vdbcarve render out -o sheet.png --sheet 12                              photographs and pictures side by side\n"
         "  vdbcarve render out -o voxels.png --style voxels --no-color              the volume as it is\n"
-        "  vdbcarve render out -o slices.png --style slices --slice-axis y          sections");
+        "  vdbcarve render out -o slices.png --style slices --slice-axis y          sections\n"
+        "  vdbcarve render out -o slack.png --style slack                           where silhouettes leave much open");
     return {app, [raw](Common&, Progress& progress) {
                 if (!raw->size.empty()) {
                     const auto s = numbers("--size", raw->size, 2, 'x');
@@ -103,6 +104,7 @@ Command add_render(CLI::App& program) {
                     raw->request.orbit.height_px = static_cast<int>(s[1]);
                 }
                 const PictureSummary s = draw_pictures(raw->request, progress);
+                if (raw->request.slack) spdlog::info("slack: grey is none, dark red {:.3g} of the file's units and more", s.most_slack);
                 spdlog::info("{}: {} x {} pixels, {:.3f} s on the {}{}{}", raw->request.output.string(), s.width_px, s.height_px,
                              s.seconds / static_cast<double>(s.pictures), s.backend_used,
                              s.device_milliseconds > 0 ? fmt::format(" ({:.2f} ms on the device)", s.device_milliseconds) : std::string(),

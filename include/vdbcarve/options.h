@@ -112,21 +112,22 @@ void visit(O& o, V& v) {
 
 /// Which surface inside the hull is taken.
 struct SurfaceSettings {
-    bool fair = false;  ///< the smoothest that covers every silhouette, not the hull itself
+    bool fair = true;  ///< the smoothest that covers every silhouette, not the hull itself
     FairOptions options;
     bool keep_hull = false;  ///< volume.vdb holds the hull's level set, too, as "hull_surface"
 };
 inline constexpr Word<bool> kSurfaceWords[] = {{"hull", false}, {"fair", true}};
 template <OptionsOf<SurfaceSettings> O, class V>
 void visit(O& o, V& v) {
-    v(Option{"surface",
-             "hull (default): the largest surface that the silhouettes allow; fair: the smoothest inside it that covers every silhouette, which may take a "
-             "little of the object where no silhouette shows it",
-             "Surface", in::kMeshing},
-      o.fair, Words(kSurfaceWords));
+    v(
+        Option{
+            "surface",
+            "fair (default): the smoothest surface that covers every silhouette, which may take a little of the object where no silhouette shows it; hull: the "
+            "largest that the silhouettes allow, with the slabs and ridges that they leave. With --stereo on and --occupancy always hull",
+            "Surface", in::kMeshing},
+        o.fair, Words(kSurfaceWords));
     v.part(o.options);
-    v.not_in_key(Option{"keep-hull", "with --surface fair: volume.vdb holds the hull's level set, too, as hull_surface", "Surface", in::kMeshing}, o.keep_hull,
-                 Flag{});
+    v.not_in_key(Option{"keep-hull", "volume.vdb holds the hull's level set, too, as hull_surface", "Surface", in::kMeshing}, o.keep_hull, Flag{});
 }
 
 struct StereoSettings {

@@ -67,7 +67,7 @@ void visit(O& o, V& v) {
 
 template <OptionsOf<FairOptions> O, class V>
 void visit(O& o, V& v) {
-    v(Option{"fairness", "with --surface fair, how far the surface may be smoothed, as a share of the object's longest side", "Surface", in::kMeshing},
+    v(Option{"fairness", "how far the surface may be smoothed with --surface fair, as a share of the object's longest side", "Surface", in::kMeshing},
       o.fairness, within(0, 0.5));
 }
 

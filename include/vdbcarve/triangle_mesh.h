@@ -20,6 +20,7 @@ struct Mesh {
     std::vector<std::array<std::array<float, 2>, 3>> texcoords{};
     /// 1 where no silhouette was seen to end and only the cones of others bound the surface (caps.h), one a vertex; or none.
     std::vector<uint8_t> extrapolated{};
+    std::vector<float> slack{};  ///< how much the silhouettes leave open (slack.h), world units, one a vertex; or none
     /// So many pairs of triangles at the end are the halves of quads a, b, c, d: (a, b, c) and (a, c, d).
     size_t quads = 0;
 };
@@ -57,7 +58,7 @@ std::vector<std::array<float, 3>> vertex_normals(const Mesh& mesh);
 /// be sRGB, those of .glb linear. Throws InputError.
 Mesh read_mesh(const std::filesystem::path& file);
 
-/// Writes, by extension: .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue] [extrapolated]), .obj (v x y z [r g b], and a
+/// Writes, by extension: .ply (binary little-endian, vertices x y z [nx ny nz] [red green blue] [extrapolated] [slack]), .obj (v x y z [r g b], and a
 /// .mtl beside it), .stl (binary), .glb (float positions and normals, COLOR_0 as linear 16-bit RGBA, a matt material; _EXTRAPOLATED). Quads stay whole in .ply
 /// and .obj. Colours are sRGB elsewhere. Coordinates are written as they are: see file_frame.h for axes and units. Appears by rename. Throws OutputError, and
 /// UsageError for another extension.

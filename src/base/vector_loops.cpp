@@ -322,13 +322,10 @@ int redistance_leaf(const float* halo, float band_vox, float* out) {
     return changed;
 }
 
-/// Sums of values that are `stride` apart, for `count` places in a row.
+/// kernel::blurred of values that are `stride` apart, for `count` places in a row.
 inline void blur_along(const float* __restrict from, int stride, const float weight[5], int count, float* __restrict to) {
-    const float w0 = weight[0], w1 = weight[1], w2 = weight[2], w3 = weight[3], w4 = weight[4];
-    for (int q = 0; q < count; ++q)
-        to[q] = (((w0 * from[q] + w1 * (from[q - stride] + from[q + stride])) + w2 * (from[q - 2 * stride] + from[q + 2 * stride])) +
-                 w3 * (from[q - 3 * stride] + from[q + 3 * stride])) +
-                w4 * (from[q - 4 * stride] + from[q + 4 * stride]);
+    const float w[5] = {weight[0], weight[1], weight[2], weight[3], weight[4]};
+    for (int q = 0; q < count; ++q) to[q] = blurred(w, [from, stride, q](int n) { return from[q + n * stride]; });
 }
 
 void blur_leaf(const float* halo, const float weight[5], float* out) {

@@ -28,13 +28,9 @@ openvdb::FloatGrid::Ptr to_openvdb(const cuda::Grid& grid, const cuda::Stream& s
         const auto* from = reinterpret_cast<const NanoLeaf*>(piece);
         tbb::parallel_for(size_t{0}, size / sizeof(NanoLeaf), [&](size_t n) {
             const nanovdb::Coord o = from[n].origin();
-            auto leaf = std::make_unique<Leaf>(openvdb::PartialCreate(), Coord(o[0], o[1], o[2]), spec.background, false);
-            leaf->allocate();
-            std::memcpy(leaf->buffer().data(), from[n].data()->mValues, sizeof(float) * Leaf::SIZE);
-            openvdb::util::NodeMask<3> active;
-            for (openvdb::Index w = 0; w < 8; ++w) active.getWord<openvdb::Index64>(w) = from[n].valueMask().getWord<uint64_t>(static_cast<int>(w));
-            leaf->setValueMask(active);
-            leaves[at / sizeof(NanoLeaf) + n] = std::move(leaf);
+            uint64_t active[8];
+            for (int w = 0; w < 8; ++w) active[w] = from[n].valueMask().getWord<uint64_t>(w);
+            leaves[at / sizeof(NanoLeaf) + n] = make_leaf(Coord(o[0], o[1], o[2]), from[n].data()->mValues, active, spec.background);
         });
     });
     for (auto& leaf : leaves) out->tree().addLeaf(leaf.release());

@@ -10,6 +10,8 @@
 #include "cuda/carve_cuda.h"
 #include "cuda/color_cuda.h"
 #include "cuda/distance_cuda.h"
+#include "cuda/fair_cuda.h"
+#include "cuda/fair_sight_cuda.h"
 #include "cuda/filter_cuda.h"
 #include "cuda/level_set_cuda.h"
 #include "cuda/mesh_cuda.h"
@@ -29,6 +31,19 @@ inline void copy_parallel(uint8_t* to, const uint8_t* from, size_t bytes) {
     constexpr size_t kPiece = 1 << 19;
     tbb::parallel_for(size_t{0}, (bytes + kPiece - 1) / kPiece,
                       [&](size_t p) { std::memcpy(to + p * kPiece, from + p * kPiece, std::min(kPiece, bytes - p * kPiece)); });
+}
+
+/// A leaf of a grid on the host, from its values and the words of its mask.
+inline std::unique_ptr<openvdb::FloatTree::LeafNodeType> make_leaf(const openvdb::Coord& origin, const float* values, const uint64_t* active,
+                                                                   float background) {
+    using Leaf = openvdb::FloatTree::LeafNodeType;
+    auto leaf = std::make_unique<Leaf>(openvdb::PartialCreate(), origin, background, false);
+    leaf->allocate();
+    std::memcpy(leaf->buffer().data(), values, sizeof(float) * Leaf::SIZE);
+    openvdb::util::NodeMask<3> mask;
+    for (openvdb::Index w = 0; w < 8; ++w) mask.getWord<openvdb::Index64>(w) = active[w];
+    leaf->setValueMask(mask);
+    return leaf;
 }
 
 /// Brings device memory home through two pieces of page-locked memory: while one is on its way the other is taken in.
@@ -94,6 +109,8 @@ struct Device::Parts {
     Volume fused;  ///< the surface carved by depths, before it is re-distanced
     cuda::LevelSetStage level_set;
     cuda::FilterStage filter;
+    cuda::FairStage fair;
+    cuda::FairSight fair_sight;
     cuda::MeshStage mesh;
     cuda::ColorStage color;
     cuda::RenderStage render;

@@ -2,18 +2,18 @@
 #include "vdbcarve/fair.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
-#include <memory>
 #include <string>
 
-#include "fair/fair_level.h"
-#include "fair/sight_lines.h"
+#include "fair/cpu_engine.h"
+#include "fair/fair_engine.h"
 #include "vdbcarve/error.h"
 
 namespace vdbcarve {
 
-using namespace fairing;
+namespace fairing {
 
 namespace {
 
@@ -35,80 +35,99 @@ constexpr float kSafe_vox = -2.f;
 /// A piece with less than this share of the largest hangs in the air because of how the surface moved.
 constexpr double kLeastPiece = 1e-3;
 
-void steps(Level& level, SightLines& lines, int count, const Motion& motion, Progress& progress) {
+kernel::FairBlur blur_of(double width_vox) {
+    double w[kernel::kFairReach + 1], sum = 0;
+    for (int n = 0; n <= kernel::kFairReach; ++n) {
+        w[n] = std::exp(-static_cast<double>(n * n) / (2 * width_vox * width_vox));
+        sum += n ? 2 * w[n] : w[n];
+    }
+    kernel::FairBlur out{};
+    for (int n = 0; n <= kernel::kFairReach; ++n) out.weight[n] = static_cast<float>(w[n] / sum);
+    return out;
+}
+
+void steps(FairEngine& engine, int count, const Motion& motion, Progress& progress) {
+    const kernel::FairBlur blur = blur_of(motion.width_vox);
     for (int n = 1; n <= count; ++n) {
         progress.check();
-        move(level, motion.width_vox, motion.stiff);
-        if (n % kAskAll == 0) lines.find_near(kSafe_vox, false);
-        lines.repair(kRoundsBetween, motion.along_vox, false, static_cast<size_t>(n));
+        engine.move(blur, motion.stiff);
+        if (n % kAskAll == 0) engine.find_near(kSafe_vox, false);
+        engine.repair({kRoundsBetween, motion.along_vox, false, static_cast<size_t>(n)});
         progress.step();
     }
 }
 
+void repair_all(FairEngine& engine) {
+    engine.find_near(0.f, true);
+    engine.repair({kRoundsAtTheEnd, kSpread.along_vox, true, {}});
+}
+
 /// Distances become true, pieces in the air go, and what those covered grows from the others.
-size_t tidy(Level& level, SightLines& lines) {
-    const size_t dropped = drop_pieces(level, kLeastPiece);
-    make_distances(level, level.field.of);
-    level.for_leaves([&](size_t n) {
-        for (size_t at = n * kLeafVoxels; at < (n + 1) * kLeafVoxels; ++at) level.field.of[at] = kernel::max_f(level.field.of[at], level.hull.of[at]);
-    });
-    lines.find_near(0.f, true);
-    lines.repair(kRoundsAtTheEnd, kSpread.along_vox, true);
+size_t tidy(FairEngine& engine) {
+    const size_t dropped = engine.drop_pieces(kLeastPiece);
+    engine.make_distances();
+    repair_all(engine);
     return dropped;
 }
 
 }  // namespace
 
-FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress) {
+void check_fair(const FairOptions& options) {
     if (!(options.fairness >= 0 && options.fairness <= 0.5)) throw UsageError("--fairness: " + std::to_string(options.fairness) + ", must be within 0..0.5");
-    std::vector<Level> hulls{level_of(hull)};
-    find_least(hulls[0], hulls[0].hull);
+}
+
+FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress) {
     FairResult out;
     const double voxel_volume = std::pow(hull.voxelSize()[0], 3);
-    out.hull_volume = voxel_volume * hulls[0].volume_vox(hulls[0].hull);
+    out.hull_volume = voxel_volume * engine.hull_volume_vox();
     if (options.fairness == 0) {
         out.surface = hull.deepCopy();
         out.volume = out.hull_volume;
         return out;
     }
-    double longest = 8.0 * *std::max_element(hulls[0].size.begin(), hulls[0].size.end()) - 16;
-    for (; longest > std::sqrt(2.0) * kCoarsest_vox; longest /= 2) hulls.push_back(coarser(hulls.back(), longest / 2 <= std::sqrt(2.0) * kCoarsest_vox));
+    const std::array<int, 3> size = engine.lattice().size;
+    double longest = 8.0 * *std::max_element(size.begin(), size.end()) - 16;
+    size_t levels = 1;
+    for (; longest > std::sqrt(2.0) * kCoarsest_vox; longest /= 2, ++levels) engine.coarsen(longest / 2 <= std::sqrt(2.0) * kCoarsest_vox);
     const auto first_steps = static_cast<int>(std::lround(std::pow(options.fairness * longest / kShrink.width_vox, 2)));
-    progress.begin("fair", static_cast<size_t>(first_steps) + kFairSteps + (hulls.size() - 1) * kFinerSteps + hulls.size() * (kSpreadSteps + 1));
+    progress.begin("fair", static_cast<size_t>(first_steps) + kFairSteps + (levels - 1) * kFinerSteps + levels * (kSpreadSteps + 1));
 
-    Level level = hulls.back(), coarse;
-    level.field = level.hull;
-    for (size_t at = hulls.size(); at-- > 0;) {
+    engine.begin();
+    for (size_t at = levels; at-- > 0;) {
         const auto start = std::chrono::steady_clock::now();
         const bool is_first = out.level_seconds.empty();
-        const Level* below = is_first ? nullptr : &coarse;
-        auto lines = std::make_unique<SightLines>(level, below, hull.transform(), views, 0, at == 0, progress);
-        lines->find_near(kSafe_vox, false);
-        steps(level, *lines, is_first ? first_steps : kFinerSteps, kShrink, progress);
-        if (is_first) steps(level, *lines, kFairSteps, kFair, progress);
-        steps(level, *lines, kSpreadSteps, kSpread, progress);
-        out.pieces_dropped = tidy(level, *lines);
+        SightPlan plan = plan_sight(engine.lattice(), hull.transform(), views, 0, at == 0);
+        engine.aim(plan, progress);
+        engine.find_near(kSafe_vox, false);
+        steps(engine, is_first ? first_steps : kFinerSteps, kShrink, progress);
+        if (is_first) steps(engine, kFairSteps, kFair, progress);
+        steps(engine, kSpreadSteps, kSpread, progress);
+        out.pieces_dropped = tidy(engine);
         progress.step();
-        if (at == 0) {
-            if (lines->scale() > 1) {  // in the end every pixel is asked
-                lines = std::make_unique<SightLines>(level, below, hull.transform(), views, 1, true, progress);
-                lines->find_near(0.f, true);
-                lines->repair(kRoundsAtTheEnd, kSpread.along_vox, true);
-            }
-            out.uncovered = lines->open();
-            out.lines_of_sight = lines->inside_samples();
+        if (at > 0) {
+            engine.refine();
         } else {
-            lines.reset();
-            Level finer = carried_over(hulls[at - 1], level);
-            coarse = std::move(level);
-            level = std::move(finer);
+            if (plan.scale > 1) {  // in the end every pixel is asked
+                plan = plan_sight(engine.lattice(), hull.transform(), views, 1, true);
+                engine.aim(plan, progress);
+                repair_all(engine);
+            }
+            out.uncovered = engine.open();
+            out.lines_of_sight = engine.inside_samples();
         }
-        hulls.pop_back();
         out.level_seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
     }
-    out.surface = grid_of(level, hull);
-    out.volume = voxel_volume * level.volume_vox(level.field);
+    out.surface = engine.surface();
+    out.volume = voxel_volume * engine.volume_vox();
     return out;
+}
+
+}  // namespace fairing
+
+FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress) {
+    fairing::check_fair(options);
+    fairing::CpuEngine engine(hull);
+    return fairing::fair_by(engine, hull, views, options, progress);
 }
 
 }  // namespace vdbcarve

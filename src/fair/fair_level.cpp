@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <functional>
 
 #include "base/vector_loops.h"
 #include "vdbcarve/error.h"
@@ -95,25 +96,18 @@ void fill_halo(const Level& level, const std::vector<float>& values, size_t n, i
             }
 }
 
-/// Of a Gaussian, by distance.
-std::array<float, kernel::kFairReach + 1> blur_weights(double width_vox) {
-    std::array<double, kernel::kFairReach + 1> w{};
-    double sum = 0;
-    for (size_t n = 0; n < w.size(); ++n) {
-        w[n] = std::exp(-static_cast<double>(n * n) / (2 * width_vox * width_vox));
-        sum += n ? 2 * w[n] : w[n];
-    }
-    std::array<float, kernel::kFairReach + 1> out{};
-    for (size_t n = 0; n < w.size(); ++n) out[n] = static_cast<float>(w[n] / sum);
-    return out;
-}
-
 }  // namespace
 
 double Level::volume_vox(const Values& values) const {
-    double sum = 0;
-    for (const float v : values.of) sum += static_cast<double>(kernel::clamp_f(0.5f - v, 0.f, 1.f));
-    return sum + static_cast<double>(kLeafVoxels) * static_cast<double>(std::count(leaf_at.begin(), leaf_at.end(), kInsideTile));
+    const auto units = tbb::parallel_reduce(
+        tbb::blocked_range<size_t>(0, values.of.size(), 64 * kLeafVoxels), uint64_t{0},
+        [&](const tbb::blocked_range<size_t>& range, uint64_t sum) {
+            for (size_t at = range.begin(); at < range.end(); ++at) sum += kernel::fair_volume_units(values.of[at]);
+            return sum;
+        },
+        std::plus<>());
+    return static_cast<double>(units) / kernel::kFairVolumeUnits +
+           static_cast<double>(kLeafVoxels) * static_cast<double>(std::count(leaf_at.begin(), leaf_at.end(), kInsideTile));
 }
 
 namespace {
@@ -174,15 +168,14 @@ void blur_leaves(const Level& level, const float* weight, const std::vector<floa
 
 }  // namespace
 
-void move(Level& level, double width_vox, bool stiff) {
-    const auto weight = blur_weights(width_vox);
+void move(Level& level, const kernel::FairBlur& blur, bool stiff) {
     const VectorLoops& loops = vector_loops();
     std::vector<float>& blurred = level.scratch;
-    blur_leaves(level, weight.data(), level.field.of, blurred);
+    blur_leaves(level, blur.weight, level.field.of, blurred);
     if (stiff) {
-        blur_leaves(level, weight.data(), blurred, level.more_scratch);
+        blur_leaves(level, blur.weight, blurred, level.more_scratch);
         level.for_leaves([&](size_t n) {
-            for (size_t at = n * kLeafVoxels; at < (n + 1) * kLeafVoxels; ++at) blurred[at] += blurred[at] - level.more_scratch[at];
+            for (size_t at = n * kLeafVoxels; at < (n + 1) * kLeafVoxels; ++at) blurred[at] = kernel::put_back(blurred[at], level.more_scratch[at]);
         });
     }
     level.for_leaves([&](size_t n) {
@@ -269,7 +262,7 @@ Level coarser(const Level& fine, bool whole) {
             const int i = 2 * (o.x() + (q >> 6)), j = 2 * (o.y() + (q >> 3 & 7)), k = 2 * (o.z() + (q & 7));
             float sum = 0;
             for (int c = 0; c < 8; ++c) sum += from.at(i + (c >> 2), j + (c >> 1 & 1), k + (c & 1));
-            out.hull.of[n * kLeafVoxels + static_cast<size_t>(q)] = sum == 0.f ? kernel::kLeastDistance : sum * (1.f / 16);
+            out.hull.of[n * kLeafVoxels + static_cast<size_t>(q)] = kernel::coarser_hull(sum);
         }
     });
     make_distances(out, out.hull.of);
@@ -292,16 +285,7 @@ Level carried_over(const Level& fine, const Level& coarse) {
                     out.leaf_at[p] = fine.leaf_at[p] >= 0 ? 0 : kOutsideTile;
                     continue;
                 }
-                float least = kBand, most = -kBand;
-                for (int a = -1; a <= 4; ++a)
-                    for (int b = -1; b <= 4; ++b)
-                        for (int c = -1; c <= 4; ++c) {
-                            const float v = field.at(4 * x + a, 4 * y + b, 4 * z + c);
-                            least = kernel::min_f(least, v);
-                            most = kernel::max_f(most, v);
-                        }
-                constexpr float kReach = 2.f;  // coarse voxels
-                out.leaf_at[p] = least < kReach && most > -kReach ? 0 : most < 0.f ? kInsideTile : kOutsideTile;
+                out.leaf_at[p] = kernel::carried_tile(field, x, y, z);
             }
     });
     number_leaves(out);
@@ -312,12 +296,9 @@ Level carried_over(const Level& fine, const Level& coarse) {
         for (int q = 0; q < static_cast<int>(kLeafVoxels); ++q) {
             const size_t at = n * kLeafVoxels + static_cast<size_t>(q);
             const int i = o.x() + (q >> 6), j = o.y() + (q >> 3 & 7), k = o.z() + (q & 7);
-            const auto x = static_cast<float>(i), y = static_cast<float>(j), z = static_cast<float>(k);
             const float h = hull.at(i, j, k);
-            // What the coarser hull is too coarse for (thin parts) is as the finer one has it.
-            const float detail = kernel::min_f(0.f, h - kernel::coarser_value(coarse_hull, x, y, z));
             out.hull.of[at] = h;
-            out.field.of[at] = kernel::max_f(h, kernel::clamp_f(kernel::coarser_value(field, x, y, z) + detail, -kBand, kBand));
+            out.field.of[at] = kernel::carried_value(h, coarse_hull, field, i, j, k);
         }
     });
     find_least(out, out.hull);
@@ -419,13 +400,18 @@ size_t drop_pieces(Level& level, double share) {
     return dropped;
 }
 
-openvdb::FloatGrid::Ptr grid_of(const Level& level, const openvdb::FloatGrid& hull) {
-    const auto voxel = static_cast<float>(hull.voxelSize()[0]);
-    const float band = kBand * voxel;
-    auto out = openvdb::FloatGrid::create(band);
+openvdb::FloatGrid::Ptr empty_surface(const openvdb::FloatGrid& hull) {
+    auto out = openvdb::FloatGrid::create(kBand * static_cast<float>(hull.voxelSize()[0]));
     out->setTransform(same_transform(hull.transform()));
     out->setName("surface");
     out->setGridClass(openvdb::GRID_LEVEL_SET);
+    return out;
+}
+
+openvdb::FloatGrid::Ptr grid_of(const Level& level, const openvdb::FloatGrid& hull) {
+    const auto voxel = static_cast<float>(hull.voxelSize()[0]);
+    const openvdb::FloatGrid::Ptr out = empty_surface(hull);
+    const float band = out->background();
     level.each_place([&](size_t p, int x, int y, int z) {
         const int32_t n = level.leaf_at[p];
         if (kernel::is_outside(n)) return;
@@ -436,7 +422,7 @@ openvdb::FloatGrid::Ptr grid_of(const Level& level, const openvdb::FloatGrid& hu
         if (!from || all([](float v) { return v <= -kBand; })) return out->tree().addTile(1, o, -band, false);
         auto* leaf = out->tree().touchLeaf(o);
         for (openvdb::Index q = 0; q < kLeafVoxels; ++q) {
-            const float v = std::fabs(from[q]) < kernel::kLeastDistance ? -kernel::kLeastDistance : from[q];
+            const float v = kernel::off_zero(from[q]);
             if (std::fabs(v) < kBand) leaf->setValueOn(q, v * voxel);
             else leaf->setValueOff(q, v < 0 ? -band : band);
         }

@@ -5,11 +5,13 @@
 #include <openvdb/openvdb.h>
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
+#include <tbb/parallel_reduce.h>
 
 #include <array>
 #include <cstdint>
 #include <vector>
 
+#include "fair/sight_plan.h"
 #include "vdbcarve/kernel/fair.h"
 
 namespace vdbcarve::fairing {
@@ -21,9 +23,7 @@ struct Values {
     std::vector<float> of, least;
 };
 
-struct Level {
-    int shift = 0;                       ///< its voxels are 2^shift of the finest ones wide
-    std::array<int, 3> lo{}, size{};     ///< of the lattice of leaves
+struct Level : LeafLattice {
     std::vector<int32_t> leaf_at;        ///< kernel::FairField
     std::vector<openvdb::Coord> origin;  ///< of each leaf, voxels
     Values hull, field;
@@ -32,10 +32,6 @@ struct Level {
     size_t leaves() const { return origin.size(); }
     kernel::FairField view(const Values& values) const {
         return {leaf_at.data(), {lo[0], lo[1], lo[2]}, {size[0], size[1], size[2]}, values.of.data(), values.least.data()};
-    }
-    size_t place(int x, int y, int z) const {
-        return (static_cast<size_t>(x - lo[0]) * static_cast<size_t>(size[1]) + static_cast<size_t>(y - lo[1])) * static_cast<size_t>(size[2]) +
-               static_cast<size_t>(z - lo[2]);
     }
     /// Visits the lattice's places: visit(place, x, y, z), leaf coordinates.
     template <class Visit>
@@ -68,19 +64,20 @@ Level coarser(const Level& fine, bool whole);
 /// hull shows beyond the coarser one.
 Level carried_over(const Level& fine, const Level& coarse);
 
-/// One step of motion: a Gaussian blur of the clipped distances, then kernel::straightened. `stiff`: what the blur takes away is blurred, too, and put back:
-/// ridges go, and what is smooth stays where it is (motion by how curvature changes instead of by curvature).
-void move(Level& level, double width_vox, bool stiff);
+/// FairEngine::move().
+void move(Level& level, const kernel::FairBlur& blur, bool stiff);
 /// Updates Values::least of every leaf.
 void find_least(const Level& level, Values& values);
 /// The same where the values of those leaves changed.
 void update_least(const Level& level, Values& values, const std::vector<size_t>& changed);
 /// Signs stay, distances become true again (kernel/level_set.h).
 void make_distances(const Level& level, std::vector<float>& values);
-/// Takes away what hangs in the air: pieces of the inside with fewer voxels than `share` of the largest. Returns how many.
+/// FairEngine::drop_pieces().
 size_t drop_pieces(Level& level, double share);
 
-/// The field as a level set on the hull's lattice, in world units.
+/// A level set on the hull's lattice, in world units, that is outside everywhere.
+openvdb::FloatGrid::Ptr empty_surface(const openvdb::FloatGrid& hull);
+/// The field as such a one.
 openvdb::FloatGrid::Ptr grid_of(const Level& level, const openvdb::FloatGrid& hull);
 
 }  // namespace vdbcarve::fairing

@@ -54,6 +54,7 @@ size_t decimate(Mesh& mesh, const DecimateOptions& options, Progress& progress) 
         out.vertices.push_back(mesh.vertices[v]);
         if (!mesh.colors.empty()) out.colors.push_back(mesh.colors[v]);
         if (!mesh.extrapolated.empty()) out.extrapolated.push_back(mesh.extrapolated[v]);
+        if (!mesh.slack.empty()) out.slack.push_back(mesh.slack[v]);
     }
     for (size_t f = 0; f < mesh.triangles.size(); ++f) {
         const HalfEdgeMesh::FaceHandle face(static_cast<int>(f));
@@ -114,7 +115,7 @@ Mesh clustered(const Mesh& mesh, const std::array<float, 3>& low, float cell) {
 }  // namespace
 
 Mesh simplified_for_display(const Mesh& mesh, size_t most_faces) {
-    if (mesh.triangles.size() <= most_faces || mesh.vertices.empty()) return {mesh.vertices, mesh.triangles, {}, mesh.colors, {}, {}, 0};
+    if (mesh.triangles.size() <= most_faces || mesh.vertices.empty()) return {mesh.vertices, mesh.triangles, {}, mesh.colors, {}, {}, {}, 0};
     std::array<float, 3> low = mesh.vertices.front(), high = low;
     for (const auto& v : mesh.vertices)
         for (size_t a = 0; a < 3; ++a) {

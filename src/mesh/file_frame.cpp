@@ -71,7 +71,8 @@ openvdb::GridBase::Ptr turn(const Grid& grid, const FileFrame& frame) {
         for (int j = 0; j < 3; ++j) plain = plain && std::fabs(matrix(i, j) - (i == j ? voxel.x() : 0)) < 1e-9 * voxel.x();
     if (!plain) throw InputError("grid '" + grid.getName() + "': its transform turns or shears, and cannot be turned to other axes");
 
-    const bool scales = std::is_same_v<Value, float> && grid.getGridClass() == openvdb::GRID_LEVEL_SET && frame.scale != 1;
+    // Values that are lengths.
+    const bool scales = std::is_same_v<Value, float> && (grid.getGridClass() == openvdb::GRID_LEVEL_SET || grid.getName() == "slack") && frame.scale != 1;
     const auto convert = [&](const Value& v) -> Value {
         if constexpr (std::is_same_v<Value, float>) return scales ? static_cast<float>(v * frame.scale) : v;
         else return v;
@@ -197,6 +198,7 @@ Mesh in_frame(Mesh mesh, const FileFrame& frame) {
     };
     for (auto& p : mesh.vertices) p = turned(p, frame.scale);
     for (auto& n : mesh.normals) n = turned(n, 1);
+    for (float& s : mesh.slack) s = static_cast<float>(frame.scale * static_cast<double>(s));
     return mesh;
 }
 

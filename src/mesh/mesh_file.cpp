@@ -136,12 +136,14 @@ std::array<uint8_t, 3> srgb8(const std::array<float, 3>& linear) {
 }
 
 void write_ply(std::ostream& out, const Mesh& mesh) {
-    const bool normals = !mesh.normals.empty(), colors = !mesh.colors.empty(), extrapolated = !mesh.extrapolated.empty();
+    const bool normals = !mesh.normals.empty(), colors = !mesh.colors.empty(), extrapolated = !mesh.extrapolated.empty(), slack = !mesh.slack.empty();
     out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size() << "\nproperty float x\nproperty float y\nproperty float z\n"
         << (normals ? "property float nx\nproperty float ny\nproperty float nz\n" : "")
         << (colors ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "") << (extrapolated ? "property uchar extrapolated\n" : "")
-        << "element face " << mesh.triangles.size() - mesh.quads << "\nproperty list uchar int vertex_indices\nend_header\n";
-    const size_t color_at = normals ? 24 : 12, extrapolated_at = color_at + (colors ? 3 : 0), stride = extrapolated_at + (extrapolated ? 1 : 0);
+        << (slack ? "property float slack\n" : "") << "element face " << mesh.triangles.size() - mesh.quads
+        << "\nproperty list uchar int vertex_indices\nend_header\n";
+    const size_t color_at = normals ? 24 : 12, extrapolated_at = color_at + (colors ? 3 : 0), slack_at = extrapolated_at + (extrapolated ? 1 : 0),
+                 stride = slack_at + (slack ? 4 : 0);
     std::string points(mesh.vertices.size() * stride, '\0');
     tbb::parallel_for(size_t{0}, mesh.vertices.size(), [&](size_t v) {
         char* at = points.data() + v * stride;
@@ -149,6 +151,7 @@ void write_ply(std::ostream& out, const Mesh& mesh) {
         if (normals) std::memcpy(at + 12, mesh.normals[v].data(), 12);
         if (colors) std::memcpy(at + color_at, srgb8(mesh.colors[v]).data(), 3);
         if (extrapolated) at[extrapolated_at] = static_cast<char>(mesh.extrapolated[v]);
+        if (slack) std::memcpy(at + slack_at, &mesh.slack[v], 4);
     });
     out.write(points.data(), static_cast<std::streamsize>(points.size()));
     std::string faces;

@@ -179,6 +179,7 @@ DroppedPieces drop_small_pieces(Mesh& mesh, double least_share) {
         keep(mesh.normals, v, kept);
         keep(mesh.colors, v, kept);
         keep(mesh.extrapolated, v, kept);
+        keep(mesh.slack, v, kept);
         ++kept;
     }
     // A quad's halves go together.
@@ -197,6 +198,7 @@ DroppedPieces drop_small_pieces(Mesh& mesh, double least_share) {
     for (auto* values : {&mesh.normals, &mesh.colors})
         if (!values->empty()) values->resize(kept);
     if (!mesh.extrapolated.empty()) mesh.extrapolated.resize(kept);
+    if (!mesh.slack.empty()) mesh.slack.resize(kept);
     if (!mesh.texcoords.empty()) mesh.texcoords.resize(faces);
     return out;
 }

@@ -13,6 +13,9 @@ void accept_or_refuse(const std::vector<std::string>& why, const std::string& wh
 void warn_of_idle_options(const ReconstructOptions& options, Progress& progress) {
     if (!options.stereo.on && options.run.last_stage == LastStage::Export && (options.stereo.options != StereoOptions() || options.stereo.maps))
         progress.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on");
+    if (!makes_fair(options) && options.run.last_stage == LastStage::Export &&
+        (options.surface.options.fairness != FairOptions().fairness || options.surface.keep_hull))
+        progress.warn("--fairness and --keep-hull do nothing with --surface hull, --stereo on or --occupancy: the surface is the hull's");
 }
 
 std::string ask_check(const ReconstructOptions& options, const Shoot& shoot) {

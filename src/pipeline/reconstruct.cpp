@@ -66,7 +66,7 @@ Reconstruction reconstruct(const ReconstructOptions& o, Progress& progress) {
         Hull hull = run(std::move(carve));
         if (last == LastStage::Carve) return publish(run, shoot, masks, kept, hull);
         Surface surface = run(LevelSet{o, shoot, masks, hull});
-        if (o.surface.fair) surface = run(Fair{o, shoot, masks, hull.grid, std::move(surface)});
+        if (makes_fair(o)) surface = run(Fair{o, shoot, masks, hull.grid, std::move(surface)});
         if (o.stereo.on) surface = run(Stereo{o, shoot, masks, hull.grid, std::move(surface)});
         const Colors colors = o.color.options.mode == ColorMode::None ? Colors() : run(Color{o, shoot, masks, hull.grid, surface});
         surface = run(Filter{o, shoot, masks, hull.grid, std::move(surface)});

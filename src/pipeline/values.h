@@ -143,6 +143,7 @@ struct Surface {
     std::optional<double> floor_clear;  ///< what was cleared off the floor, scene units
     openvdb::FloatGrid::Ptr hull;       ///< the level set of the hull, to be kept beside; null: not
     nlohmann::json fair;                ///< what the report says of it; null: it is the hull's
+    openvdb::FloatGrid::Ptr slack;      ///< slack.h; null: it is the hull's
     openvdb::GridBase::Ptr stereo_confidence;
     nlohmann::json stereo;                           ///< what the report says of it; null: not carved by depth
     std::filesystem::path stereo_sheet, depth_maps;  ///< in OUT/stages; empty or not there: none

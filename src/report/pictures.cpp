@@ -17,6 +17,7 @@
 #include "vdbcarve/volume.h"
 #include "vdbcarve/result.h"
 #include "vdbcarve/raster.h"
+#include "vdbcarve/color_space.h"
 #include "vdbcarve/video.h"
 #include "vdbcarve/views.h"
 
@@ -27,6 +28,33 @@ namespace fs = std::filesystem;
 
 bool is_volume(const fs::path& file) { return file.extension() == ".vdb" || file.extension() == ".nvdb"; }
 bool is_film(const fs::path& file) { return file.extension() == ".mp4" || file.extension() == ".webm"; }
+
+/// Slack as colours, linear light: clay where there is none, dark red for `most` and more.
+openvdb::Vec3SGrid::Ptr slack_colors(const openvdb::FloatGrid& slack, double& most) {
+    constexpr double kAlmostAll = 0.98;  // a few places would take all the colours
+    constexpr double kStops_srgb[][3] = {{196, 196, 200}, {248, 208, 96}, {232, 108, 48}, {136, 16, 56}};
+    constexpr size_t kSteps = std::size(kStops_srgb) - 1;
+    std::vector<float> values;
+    for (auto v = slack.cbeginValueOn(); v; ++v) values.push_back(*v);
+    if (!values.empty()) {
+        const auto at = values.begin() + static_cast<long>(kAlmostAll * static_cast<double>(values.size() - 1));
+        std::nth_element(values.begin(), at, values.end());
+        most = static_cast<double>(*at);
+    }
+    auto out = openvdb::Vec3SGrid::create(std::make_shared<openvdb::Vec3STree>(slack.tree(), openvdb::Vec3s(0), openvdb::TopologyCopy()));
+    out->setTransform(slack.transform().copy());
+    const auto values_of = slack.getConstAccessor();
+    for (auto v = out->beginValueOn(); v; ++v) {
+        const double share = most > 0 ? std::clamp(static_cast<double>(values_of.getValue(v.getCoord())) / most, 0.0, 1.0) * kSteps : 0;
+        const size_t step = std::min(static_cast<size_t>(share), kSteps - 1);
+        const double part = share - static_cast<double>(step);
+        openvdb::Vec3s color;
+        for (int c = 0; c < 3; ++c)
+            color[c] = static_cast<float>(linear_from_srgb((kStops_srgb[step][c] + part * (kStops_srgb[step + 1][c] - kStops_srgb[step][c])) / 255));
+        v.setValue(color);
+    }
+    return out;
+}
 
 class PictureRun {
   public:
@@ -91,6 +119,13 @@ class PictureRun {
                     color = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
             }
             if (!surface) throw InputError(source.string() + ": has no level set to render");
+            if (request_.slack) {
+                const auto slack =
+                    std::find_if(grids.begin(), grids.end(), [](const auto& g) { return g->getName() == "slack" && g->template isType<openvdb::FloatGrid>(); });
+                if (slack == grids.end())
+                    throw InputError(source.string() + ": has no grid \"slack\". Remedy: reconstruct with --surface fair, which writes it into volume.vdb");
+                color = slack_colors(*openvdb::gridPtrCast<openvdb::FloatGrid>(*slack), summary_.most_slack);
+            }
             if (const auto said = metadata["up_axis"]; up.empty() && said && said->str() != "unknown") up = said->str();
             bounds_ = box_of_inside(*surface);
             const Backend backend = choose_backend(request_.backend, request_.device);
@@ -103,7 +138,7 @@ class PictureRun {
                 volume_.emplace(*surface, color.get());
             }
         } else {
-            if (options_.style != RenderStyle::Surface)
+            if (options_.style != RenderStyle::Surface || request_.slack)
                 throw UsageError(source.string() + ": a mesh has no voxels, no thickness and no sections. Remedy: the volume");
             if (request_.backend == Backend::Cuda) throw UsageError("--backend cuda: meshes are rendered on the CPU. Remedy: without it, or the volume");
             mesh_ = read_mesh(source);

@@ -434,7 +434,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
 
     void figures() {
         body_ << "<h2>Figures</h2>\n<div class=two>\n";
-        for (const char* part : {"mesh", "grid", "color", "filter", "extrapolated", "floor", "align", "smooth"}) {
+        for (const char* part : {"mesh", "grid", "color", "filter", "fair", "slack", "extrapolated", "floor", "align", "smooth"}) {
             if (!report_.contains(part)) continue;
             body_ << "<div class=scroll><table><tr><th colspan=2>" << part << "</tr>\n";
             for (const auto& [key, value] : report_[part].items()) {

@@ -9,6 +9,8 @@ expect 0 '2[0-9][0-9] x|1[0-9][0-9] x' render out -o view.png --view 0001 --back
 expect 0 'each, 3 of them' render out -o sheet.png --sheet 3
 expect 0 'each, 4 of them' render out -o slices.png --style slices --slices 4 --size 200x200
 expect 0 '64 x 64' render out/volume.vdb -o voxels.png --style voxels --size 64x64 --no-color
+expect 0 'slack: grey is none' render out -o slack.png --style slack --size 64x64
+expect 2 'no voxels' render out/mesh.ply -o bad.png --style slack
 expect 0 '64 x 64' render out/mesh.ply -o mesh.png --size 64x64
 expect 0 'each, 6 of them' render out -o turn.mp4 --frames 6 --size 64x64 --samples 1
 check 'a film is written' test -s turn.mp4

@@ -10,6 +10,7 @@
 #include "mesh/marching_cubes.h"
 #include "volume/nanovdb_bytes.h"
 #include "volume/same_transform.h"
+#include "device/gpu_fixture.h"
 #include "support/carve_cases.h"
 #include "support/color_cases.h"
 #include "support/dented_ball.h"
@@ -24,20 +25,6 @@
 
 namespace vdbcarve::test {
 namespace {
-
-class Gpu : public testing::Test {
-  protected:
-    static void SetUpTestSuite() { openvdb::initialize(); }
-    void SetUp() override { need_gpu(); }
-    static void need_gpu() {
-        const std::string why = why_no_cuda();
-        if (why.empty()) return;
-        const char* required = std::getenv("VDBCARVE_REQUIRE_GPU");
-        if (required && std::string(required) == "1") FAIL() << why;
-        GTEST_SKIP() << why;
-    }
-    Progress quiet_;
-};
 
 class GpuScenes : public Gpu, public testing::WithParamInterface<CarveCase> {};
 

@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 #include <openvdb/tools/Interpolation.h>
+#include <openvdb/tools/LevelSetSphere.h>
 #include <tbb/global_control.h>
 
 #include <atomic>
@@ -19,6 +20,7 @@
 #include "vdbcarve/evaluate.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
+#include "vdbcarve/slack.h"
 
 namespace vdbcarve::test {
 namespace {
@@ -197,6 +199,33 @@ TEST(Fair, NothingIsForcedWhereNothingIsSeen) {
     EXPECT_LT(half.lines_of_sight, 0.8 * static_cast<double>(all.result.lines_of_sight));
     EXPECT_LT(half.volume, all.result.volume);
     EXPECT_EQ(half.uncovered, 0u);
+}
+
+// Balls in a ball: slack is the difference of the radii, within the band and far beyond it.
+TEST(Slack, IsTheDistanceToTheHull) {
+    const auto ball = [](float radius) { return openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(radius, openvdb::Vec3f(1, 2, 3), 0.5f, 3.f); };
+    const auto hull = ball(20);
+    for (const float radius : {20.f, 19.2f, 17.f, 12.f, 5.f}) {
+        const auto inner = ball(radius);
+        const auto grid = slack(*hull, *inner);
+        EXPECT_EQ(grid->activeVoxelCount(), inner->activeVoxelCount());
+        Progress quiet;
+        Mesh mesh = extract_mesh(*inner, {}, quiet);
+        set_slack(mesh, *grid);
+        const double expected = static_cast<double>(20 - radius);
+        for (const float s : mesh.slack) ASSERT_NEAR(static_cast<double>(s), expected, 0.05 + 0.16 * expected) << radius;
+        const SlackShares shares = slack_shares(mesh);
+        EXPECT_NEAR(shares.mean, expected, 0.05 + 0.12 * expected);
+        EXPECT_NEAR(shares.known_share, 1, 1e-9);
+        EXPECT_LE(shares.half, shares.most);
+        // The upper part is not known.
+        mesh.extrapolated.assign(mesh.vertices.size(), 0);
+        for (size_t v = 0; v < mesh.vertices.size(); ++v) mesh.extrapolated[v] = mesh.vertices[v][2] > 3;
+        const SlackShares lower = slack_shares(mesh);
+        EXPECT_NEAR(lower.known_share, 0.5, 0.06);
+        EXPECT_EQ(lower.most_share, lower.known_share);
+        EXPECT_TRUE(std::isfinite(lower.most));
+    }
 }
 
 TEST(Fair, RefusesWhatItCannotDo) {

@@ -187,7 +187,8 @@ ReconstructOptions all_other() {
     o.grid.origin = Vec3d(0.1, -0.2, 123456789.123456789);
     o.carve = {-0.75, 4, 2, 0.123456789012345678, true, true, 5};
     o.floor = {FloorOptions::From::Given, -1.0 / 3, 0.25, true, 0.125};
-    o.surface.fair = o.surface.keep_hull = true;
+    o.surface.fair = false;
+    o.surface.keep_hull = true;
     o.surface.options.fairness = 0.1;
     o.stereo.on = o.stereo.maps = true;
     o.stereo.options.scale = 3;

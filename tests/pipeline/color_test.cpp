@@ -26,7 +26,7 @@ TEST(Pipeline, ColoursReachVolumeMeshAndReport) {
         names.insert(grid->getName());
         if (grid->getName() == "Cd") color = openvdb::gridPtrCast<openvdb::Vec3SGrid>(grid);
     }
-    EXPECT_EQ(names, (std::set<std::string>{"surface", "density", "Cd", "views", "confidence"}));
+    EXPECT_EQ(names, (std::set<std::string>{"surface", "density", "slack", "Cd", "views", "confidence"}));
     ASSERT_TRUE(color);
     // PLY and OBJ say the same, and what the volume says at the vertices, to their precision.
     const Mesh ply = read_mesh(job.folder / "out/mesh.ply"), obj = read_mesh(job.folder / "out/mesh.obj");

@@ -28,7 +28,7 @@ TEST(Pipeline, WritesTheResultAndItsReport) {
         EXPECT_TRUE(s["seconds"].is_number());
         EXPECT_GT(s["peak_rss_bytes"], 1000000);
     }
-    EXPECT_EQ(names, (std::vector<std::string>{"views", "mask", "distance", "carve", "level_set", "color", "filter", "mesh", "smooth", "export"}));
+    EXPECT_EQ(names, (std::vector<std::string>{"views", "mask", "distance", "carve", "level_set", "fair", "color", "filter", "mesh", "smooth", "export"}));
     for (const char* key : {"dims", "voxel_size", "active_voxels", "leaves", "bytes"}) EXPECT_TRUE(r["grid"].contains(key)) << key;
     EXPECT_EQ(r["inputs"].size(), 8u);
 }
@@ -207,8 +207,10 @@ TEST(Pipeline, HullsKnownInOtherWordsSayTheirOwnUnits) {
 
 TEST(Pipeline, TheFairSurfaceLiesInsideTheHull) {
     Job job("cup");
+    job.options.surface.fair = false;
     const json hull = job.run();
     EXPECT_FALSE(hull.contains("fair"));
+    EXPECT_FALSE(hull.contains("slack"));
     job.options.surface.fair = job.options.surface.keep_hull = true;
     const json first = job.run();
     EXPECT_TRUE(Job::reused(first, "level_set"));
@@ -221,6 +223,13 @@ TEST(Pipeline, TheFairSurfaceLiesInsideTheHull) {
     const auto kept = read_float_grid(job.folder / "out/volume.vdb", "hull_surface"), fair = read_float_grid(job.folder / "out/volume.vdb", "surface");
     EXPECT_EQ(kept->getGridClass(), openvdb::GRID_LEVEL_SET);
     for (auto v = fair->cbeginValueOn(); v; ++v) ASSERT_GE(*v, kept->tree().getValue(v.getCoord()) - 1e-5);
+    // What it leaves open is there as a grid, in the mesh and in the report.
+    const auto slack = read_float_grid(job.folder / "out/volume.vdb", "slack");
+    EXPECT_EQ(slack->activeVoxelCount(), fair->activeVoxelCount());
+    EXPECT_NE(job.bytes("mesh.ply").find("property float slack"), std::string::npos);
+    EXPECT_LT(first["slack"]["half"], first["slack"]["most"]);
+    EXPECT_GT(first["slack"]["most"], 0);
+    EXPECT_LE(first["slack"]["most_share"], 0.9);
     const std::string mesh = job.bytes("mesh.ply");
     EXPECT_TRUE(Job::reused(job.run(), "fair"));
     EXPECT_EQ(job.bytes("mesh.ply"), mesh);
@@ -229,8 +238,15 @@ TEST(Pipeline, TheFairSurfaceLiesInsideTheHull) {
     job.options.surface.fair = false;
     job.run();
     EXPECT_EQ(read_vdb(job.folder / "out/volume.vdb").size(), 2u);
-    job.options.surface.fair = job.options.stereo.on = true;
-    EXPECT_NE(error_of(ExitCode::Usage, [&] { job.run(); }).find("--surface fair"), std::string::npos);
+    // Wider and narrower bands.
+    job.options.surface.fair = true;
+    for (const int width : {2, 5}) {
+        job.options.carve.half_width_vox = width;
+        const json wide = job.run();
+        EXPECT_NEAR(wide["mesh"]["volume"].get<double>() / first["mesh"]["volume"].get<double>(), 1, 0.02) << width;
+        const auto grid = read_float_grid(job.folder / "out/volume.vdb", "surface");
+        EXPECT_NEAR(static_cast<double>(grid->background()) / grid->voxelSize()[0], width, 1e-4);
+    }
 }
 
 TEST(Pipeline, OccupancyAndDryRun) {

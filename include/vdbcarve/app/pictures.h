@@ -16,6 +16,7 @@ struct PictureRequest {
     std::filesystem::path input;   ///< a result's folder, a volume (.vdb, .nvdb) or a mesh
     std::filesystem::path output;  ///< .png; .mp4 or .webm: a turntable film
     bool mesh = false;             ///< of a result: its mesh, not its volume
+    bool slack = false;            ///< the volume's grid "slack" as colours
     RenderOptions options;
     OrbitView orbit;
     std::string up;                 ///< world axis; empty: as the result or the file says, else z
@@ -38,6 +39,7 @@ struct PictureSummary {
     double seconds = 0;              ///< of rendering alone, all pictures
     double device_milliseconds = 0;  ///< of the last picture, on CUDA
     int width_px = 0, height_px = 0;
+    double most_slack = 0;  ///< what the last colour stands for, the file's units
 };
 
 /// Files appear by rename. Throws InputError, UsageError, OutputError, BackendError.

@@ -57,12 +57,6 @@ struct FairCell {
     float a, b, c;
 };
 
-/// std::floor is a call where the instruction set does not have it.
-VDBCARVE_HD int floor_of(float x) {
-    const int n = static_cast<int>(x);
-    return n - (x < static_cast<float>(n));
-}
-
 VDBCARVE_HD FairCell fair_cell(float x, float y, float z) {
     const int i = floor_of(x), j = floor_of(y), k = floor_of(z);
     return {i, j, k, x - static_cast<float>(i), y - static_cast<float>(j), z - static_cast<float>(k)};
@@ -112,6 +106,26 @@ VDBCARVE_HD float value_in(const FairField& f, int32_t number, const FairCell& c
 VDBCARVE_HD float coarser_value(const FairField& coarse, float x, float y, float z) {
     const FairCell c = fair_cell((x - 0.5f) * 0.5f, (y - 0.5f) * 0.5f, (z - 0.5f) * 0.5f);
     return 2.f * value_in(coarse, coarse.leaf(c.i, c.j, c.k), c);
+}
+
+/// What becomes of a leaf inside the hull, at leaf coordinates (x, y, z): 0 where the coarser level's field needs it, or a tile.
+VDBCARVE_HD int32_t carried_tile(const FairField& coarse, int x, int y, int z) {
+    constexpr float kReach = 2.f;  // coarse voxels
+    float least = kFairBand_vox, most = -kFairBand_vox;
+    for (int a = -1; a <= 4; ++a)
+        for (int b = -1; b <= 4; ++b)
+            for (int c = -1; c <= 4; ++c) {
+                const float v = coarse.at(4 * x + a, 4 * y + b, 4 * z + c);
+                least = min_f(least, v);
+                most = max_f(most, v);
+            }
+    return least < kReach && most > -kReach ? 0 : most < 0.f ? kInsideTile : kOutsideTile;
+}
+/// The field that a finer level's voxel begins with. What the coarser hull is too coarse for (thin parts) is as the finer one, whose value is `hull`, has it.
+VDBCARVE_HD float carried_value(float hull, const FairField& coarse_hull, const FairField& coarse, int i, int j, int k) {
+    const auto x = static_cast<float>(i), y = static_cast<float>(j), z = static_cast<float>(k);
+    const float detail = min_f(0.f, hull - coarser_value(coarse_hull, x, y, z));
+    return max_f(hull, clamp_f(coarser_value(coarse, x, y, z) + detail, -kFairBand_vox, kFairBand_vox));
 }
 
 /// A view's camera in index coordinates. Pixels are samples of its distance field.
@@ -421,31 +435,46 @@ VDBCARVE_HD float share_of_dent(const FairDent& d, float x, float y, float z) {
     return far <= 0.f ? 0.f : 1.4f * far * far;
 }
 
-/// Calls lower(voxel, by) for what must fall so that the line meets the field. `to_the_hull`: the eight voxels around the place fall as far as the hull does.
-template <class Lower>
-VDBCARVE_HD void lower_around(const FairField& f, const FairField& hull, const FairLine& line, const FairOpen& open, float along_vox, bool to_the_hull,
-                              const Lower& lower) {
-    constexpr float kMore_vox = 0.01f;  // so that rounding leaves nothing open
-    const FairCell c = sample_cell(line.ray, open.place.sample);
-    const float fall = max_f(value_in(f, f.leaf(c.i, c.j, c.k), c) - open.target, 0.f);
-    const FairDent d = dent_along(line.ray, along_vox);
-    const int reach[3] = {to_the_hull ? 0 : d.reach[0], to_the_hull ? 0 : d.reach[1], to_the_hull ? 0 : d.reach[2]};
-    for (int i = -reach[0]; i <= reach[0] + 1; ++i)
-        for (int j = -reach[1]; j <= reach[1] + 1; ++j) {
-            int32_t number = kOutsideTile;
-            bool known = false;
-            for (int k = -reach[2]; k <= reach[2] + 1; ++k) {
-                known = known && ((c.k + k) & 7);
-                const float share = share_of_dent(d, static_cast<float>(i) - c.a, static_cast<float>(j) - c.b, static_cast<float>(k) - c.c);
-                if (share <= 0.f) continue;
-                if (!known) number = f.leaf(c.i + i, c.j + j, c.k + k);
-                known = true;
-                if (number < 0) continue;
-                const bool corner = ((i | j | k) & ~1) == 0;
-                lower(static_cast<int64_t>(number) * 512 + (((c.i + i) & 7) << 6 | ((c.j + j) & 7) << 3 | ((c.k + k) & 7)),
-                      to_the_hull ? 2.f * kFairBand_vox : share * fall + (corner ? kMore_vox : 0.f));
-            }
-        }
+/// What a line pulls. `to_the_hull`: the eight voxels around the place fall as far as the hull does.
+struct FairPull {
+    FairCell c;
+    FairDent dent;
+    float fall;
+    int reach[3];
+    int to_the_hull;
+
+    /// The voxels around lie in columns along z.
+    VDBCARVE_HD int columns() const { return (2 * reach[0] + 2) * (2 * reach[1] + 2); }
+};
+VDBCARVE_HD FairPull pull_of(const FairField& f, const FairLine& line, const FairOpen& open, float along_vox, bool to_the_hull) {
+    FairPull p{};
+    p.c = sample_cell(line.ray, open.place.sample);
+    p.dent = dent_along(line.ray, along_vox);
+    p.fall = max_f(value_in(f, f.leaf(p.c.i, p.c.j, p.c.k), p.c) - open.target, 0.f);
+    for (int a = 0; a < 3; ++a) p.reach[a] = to_the_hull ? 0 : p.dent.reach[a];
+    p.to_the_hull = to_the_hull;
+    return p;
 }
+/// Calls lower(voxel, by) for what must fall in one column so that the line meets the field.
+template <class Lower>
+VDBCARVE_HD void lower_column(const FairField& f, const FairPull& p, int column, const Lower& lower) {
+    constexpr float kMore_vox = 0.01f;  // so that rounding leaves nothing open
+    const int across = 2 * p.reach[1] + 2, i = column / across - p.reach[0], j = column % across - p.reach[1];
+    int32_t number = kOutsideTile;
+    bool known = false;
+    for (int k = -p.reach[2]; k <= p.reach[2] + 1; ++k) {
+        known = known && ((p.c.k + k) & 7);
+        const float share = share_of_dent(p.dent, static_cast<float>(i) - p.c.a, static_cast<float>(j) - p.c.b, static_cast<float>(k) - p.c.c);
+        if (share <= 0.f) continue;
+        if (!known) number = f.leaf(p.c.i + i, p.c.j + j, p.c.k + k);
+        known = true;
+        if (number < 0) continue;
+        const bool corner = ((i | j | k) & ~1) == 0;
+        lower(static_cast<int64_t>(number) * 512 + (((p.c.i + i) & 7) << 6 | ((p.c.j + j) & 7) << 3 | ((p.c.k + k) & 7)),
+              p.to_the_hull ? 2.f * kFairBand_vox : share * p.fall + (corner ? kMore_vox : 0.f));
+    }
+}
+/// A voxel that falls by so much, not below the hull, and does not rise.
+VDBCARVE_HD float fallen(float v, float by, float hull) { return min_f(v, max_f(v - by, hull)); }
 
 }  // namespace vdbcarve::kernel

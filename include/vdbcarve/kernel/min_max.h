@@ -25,4 +25,10 @@ VDBCARVE_HD float max_f(float a, float b) {
 #endif
 }
 
+/// Rounds down; std::floor is a call on machines without SSE 4.1.
+VDBCARVE_HD int floor_of(float x) {
+    const int n = static_cast<int>(x);
+    return n - (x < static_cast<float>(n));
+}
+
 }  // namespace vdbcarve::kernel

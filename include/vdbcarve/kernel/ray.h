@@ -37,12 +37,6 @@ struct SightGrid {
 /// A step beyond a cell's border, in voxels, so that rounding does not find the cell before it again.
 inline constexpr float kBeyondBorder_vox = 1e-3f;
 
-/// Rounds down; std::floor is a call on machines without SSE 4.1.
-VDBCARVE_HD int floor_of(float x) {
-    const int i = static_cast<int>(x);
-    return x < static_cast<float>(i) ? i - 1 : i;
-}
-
 /// The node of 128^3 voxels around a voxel, at hand for the next one. (An accessor of NanoVDB's that has a leaf at hand finds it without looking at the nodes
 /// above, and keeps those of another.)
 template <class Value>

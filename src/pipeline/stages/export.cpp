@@ -56,6 +56,7 @@ openvdb::GridCPtrVec result_grids(const Made& made, const ResultOptions& options
     openvdb::GridCPtrVec grids{surface.grid, density_of(*surface.grid)};
     if (with_occupancy) grids.push_back(occupancy_of(made.hull));
     if (surface.hull) grids.push_back(surface.hull);
+    if (surface.slack) grids.push_back(surface.slack);
     if (surface.stereo_confidence) grids.push_back(surface.stereo_confidence);
     if (const openvdb::Vec3SGrid::Ptr& color = made.colors.grid) {
         openvdb::Vec3SGrid::Ptr named = openvdb::Vec3SGrid::create(color->treePtr());
@@ -83,6 +84,7 @@ Exported Export::run(Run& run) {
     progress.begin("export", made.shoot.views.views.size() + options.result.mesh_formats.size() + 2);  // views are compared, files written
     Exported e;
     mark_extrapolation(e, run);
+    measure_slack(e, run.progress());
     warn_of_wide_bounds(made, progress);
     warn_of_frames(progress);
     write_volume(e);
@@ -110,6 +112,17 @@ void Export::mark_extrapolation(Exported& e, Run& run) const {
         text_of("%.1f %% of the surface is extrapolated: %.1f %% lies beyond the contours that were seen (top %.3g, bottom %.3g %s), %.1f %% faces no camera",
                 100 * (x.capped_share + x.unseen_share), 100 * x.capped_share, unit * x.top_beyond, unit * x.bottom_beyond, metres ? "mm" : "units",
                 100 * x.unseen_share));
+}
+
+void Export::measure_slack(Exported& e, Progress& progress) const {
+    if (!made.surface.slack) return;
+    set_slack(made.mesh.mesh, *made.surface.slack);
+    e.slack = slack_shares(made.mesh.mesh);
+    const std::optional<double> metres = metres_per(made.shoot.views.units);
+    const double unit = metres ? 1e3 * *metres : 1;
+    if (std::isfinite(e.slack->half))
+        progress.note(text_of("the silhouettes leave %.2g %s open on half of the surface at most, %.2g %s on %.0f %%", unit * e.slack->half,
+                              metres ? "mm" : "units", unit * e.slack->most, metres ? "mm" : "units", 100 * e.slack->most_share));
 }
 
 void Export::warn_of_frames(Progress& progress) const {
@@ -225,6 +238,14 @@ void Export::report(const Exported& e, json& report) const {
     if (const std::optional<double> metres = metres_per(made.shoot.views.units)) {
         said["top_beyond_mm"] = 1e3 * *metres * x.top_beyond;
         said["bottom_beyond_mm"] = 1e3 * *metres * x.bottom_beyond;
+    }
+    if (e.slack) {
+        const auto finite = [](double value) { return std::isfinite(value) ? json(value) : json(); };
+        report["slack"] = {{"mean", e.slack->mean},
+                           {"half", finite(e.slack->half)},
+                           {"most", finite(e.slack->most)},
+                           {"most_share", e.slack->most_share},
+                           {"known_share", e.slack->known_share}};
     }
     for (const auto& [name, frame] : e.frames) report["files"][name] = {{"up", frame.up}, {"units", frame.units}, {"scale", frame.scale}, {"axes", frame.axes}};
     std::vector<const ViewColor*> colors(e.agreement.size());

@@ -6,6 +6,7 @@
 #include "pipeline/values.h"
 #include "vdbcarve/caps.h"
 #include "vdbcarve/raster.h"
+#include "vdbcarve/slack.h"
 
 namespace vdbcarve::pipeline {
 
@@ -24,6 +25,7 @@ struct Exported {
     std::vector<SilhouetteAgreement> agreement;  ///< by view
     SeenExtent seen;
     Extrapolation extrapolation;
+    std::optional<SlackShares> slack;                       ///< none: the surface is the hull's
     double tolerance = 0;                                   ///< beyond which surface counts as extrapolated
     std::vector<std::pair<std::string, FileFrame>> frames;  ///< by file
     double median_iou = 0, minimum_iou = 0;
@@ -45,6 +47,7 @@ struct Export {
     FrameRequest frame_request() const { return {made.shoot.up(), made.shoot.views.units, options.result.dcc, options.result.stl_mm}; }
     /// Names the part of the surface that no photograph supports.
     void mark_extrapolation(Exported& e, Run& run) const;
+    void measure_slack(Exported& e, Progress& progress) const;
     void warn_of_frames(Progress& progress) const;
     void write_volume(Exported& e) const;
     void write_meshes(Exported& e, Progress& progress) const;

@@ -3,6 +3,8 @@
 
 #include "base/text.h"
 #include "vdbcarve/fair.h"
+#include "vdbcarve/level_set.h"
+#include "vdbcarve/slack.h"
 
 namespace vdbcarve::pipeline {
 
@@ -12,7 +14,7 @@ constexpr const char* kFile = "surface.vdb";
 
 }  // namespace
 
-Surface Fair::on_hull(openvdb::FloatGrid::Ptr fair) const {
+Surface Fair::on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slack) const {
     Surface out = surface;
     if (options.surface.keep_hull) {
         out.hull = openvdb::FloatGrid::create(surface.grid->treePtr());
@@ -21,6 +23,7 @@ Surface Fair::on_hull(openvdb::FloatGrid::Ptr fair) const {
         out.hull->setName("hull_surface");
     }
     out.grid = std::move(fair);
+    out.slack = std::move(slack);
     return out;
 }
 
@@ -28,9 +31,26 @@ Surface Fair::run(Run& run) {
     std::vector<FairView> views;
     const std::vector<Camera> cameras = used_cameras(shoot, masks);
     for (size_t u = 0; u < cameras.size(); ++u) views.push_back({cameras[u], view_of(masks.masks.masks[masks.used[u]])});
-    run.forget_device_grid();
-    const FairResult result = fair(*surface.grid, views, options.surface.options, run.progress());
-    Surface made = on_hull(result.surface);
+    // The fair surface is found with a band of 3 voxels; other widths are made of it.
+    LevelSetOptions band;
+    const int wanted = options.carve.half_width_vox;
+    const openvdb::FloatGrid::Ptr hull = wanted < band.half_width_vox ? level_set(surface.grid->deepCopy(), band, run.progress()) : surface.grid;
+    FairResult result;
+    const bool done = run.device().run("fair", [&](Device& device) {
+        if (!run.is_on_device(hull)) device.set_surface(*hull);
+        run.forget_device_grid();
+        result = device.fair(*hull, views, options.surface.options, run.progress());
+    });
+    if (!done) {
+        run.forget_device_grid();
+        result = fair(*hull, views, options.surface.options, run.progress());
+    }
+    const openvdb::FloatGrid::Ptr open = slack(*hull, *result.surface);
+    if (wanted != band.half_width_vox) {
+        band.half_width_vox = wanted;
+        result.surface = level_set(result.surface, band, run.progress());
+    }
+    Surface made = on_hull(result.surface, open);
     made.fair = {{"fairness", options.surface.options.fairness},
                  {"hull_volume", result.hull_volume},
                  {"volume", result.volume},
@@ -40,12 +60,12 @@ Surface Fair::run(Run& run) {
 }
 
 void Fair::save(Slot& slot, const Surface& made) const {
-    write_vdb(slot.file(kFile), {made.grid}, metadata_of(shoot, masks, grid.voxel_size));
+    write_vdb(slot.file(kFile), {made.grid, made.slack}, metadata_of(shoot, masks, grid.voxel_size));
     slot.note["fair"] = made.fair;
 }
 
 Surface Fair::load(const Slot& slot) const {
-    Surface found = on_hull(read_float_grid(slot.file(kFile), "surface"));
+    Surface found = on_hull(read_float_grid(slot.file(kFile), "surface"), read_float_grid(slot.file(kFile), "slack"));
     found.fair = slot.note.at("fair");
     return found;
 }

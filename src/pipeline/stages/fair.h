@@ -25,7 +25,7 @@ struct Fair {
     void say(const Surface& made, Progress& progress) const;
 
   private:
-    Surface on_hull(openvdb::FloatGrid::Ptr fair) const;
+    Surface on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slack) const;
 };
 
 }  // namespace vdbcarve::pipeline

@@ -33,6 +33,8 @@ void Filter::prepare(Run& run) {
         run.progress().note("--keep-thin is " + std::to_string(filter_.keep_thin_vox).substr(0, 4) + " voxels at most with this band");
     if (options.filter.steps) {
         filter_.steps = *options.filter.steps;
+    } else if (!surface.fair.is_null()) {
+        filter_.steps.clear();  // it is smooth
     } else {
         const double softness = mask_softness(masks);
         filter_.steps = default_filters(options.carve.occupancy ? -1 : softness);

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fair/cpu_engine.h"
+
+namespace vdbcarve::fairing {
+
+CpuEngine::CpuEngine(const openvdb::FloatGrid& hull) : hull_(hull), hulls_{level_of(hull)} { find_least(hulls_[0], hulls_[0].hull); }
+
+void CpuEngine::begin() {
+    level_ = std::move(hulls_.back());
+    hulls_.pop_back();
+    level_.field = level_.hull;
+}
+
+void CpuEngine::refine() {
+    lines_.reset();
+    Level finer = carried_over(hulls_.back(), level_);
+    coarse_ = std::move(level_);
+    level_ = std::move(finer);
+    hulls_.pop_back();
+}
+
+void CpuEngine::aim(const SightPlan& plan, Progress& progress) {
+    lines_ = std::make_unique<SightLines>(level_, coarse_.leaves() ? &coarse_ : nullptr, plan, progress);
+}
+
+void CpuEngine::make_distances() {
+    fairing::make_distances(level_, level_.field.of);
+    level_.for_leaves([&](size_t n) {
+        for (size_t at = n * kLeafVoxels; at < (n + 1) * kLeafVoxels; ++at) level_.field.of[at] = kernel::max_f(level_.field.of[at], level_.hull.of[at]);
+    });
+}
+
+}  // namespace vdbcarve::fairing

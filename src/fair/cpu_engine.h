@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: Apache-2.0
+// The fair surface on the CPU.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "fair/fair_engine.h"
+#include "fair/fair_level.h"
+#include "fair/sight_lines.h"
+
+namespace vdbcarve::fairing {
+
+class CpuEngine final : public FairEngine {
+  public:
+    /// `hull` is borrowed.
+    explicit CpuEngine(const openvdb::FloatGrid& hull);
+
+    const LeafLattice& lattice() const override { return hulls_.empty() || level_.leaves() ? level_ : hulls_.back(); }
+    double hull_volume_vox() override { return hulls_.front().volume_vox(hulls_.front().hull); }
+    void coarsen(bool whole) override { hulls_.push_back(coarser(hulls_.back(), whole)); }
+    void begin() override;
+    void refine() override;
+    void aim(const SightPlan& plan, Progress& progress) override;
+    void find_near(float safe_vox, bool all) override { lines_->find_near(safe_vox, all); }
+    void repair(const Repair& how) override { lines_->repair(how); }
+    size_t open() const override { return lines_->open(); }
+    size_t inside_samples() const override { return lines_->inside_samples(); }
+    void move(const kernel::FairBlur& blur, bool stiff) override { fairing::move(level_, blur, stiff); }
+    size_t drop_pieces(double share) override { return fairing::drop_pieces(level_, share); }
+    void make_distances() override;
+    double volume_vox() override { return level_.volume_vox(level_.field); }
+    openvdb::FloatGrid::Ptr surface() override { return grid_of(level_, hull_); }
+
+  private:
+    const openvdb::FloatGrid& hull_;
+    std::vector<Level> hulls_;  ///< finer than the level at hand, once there is one
+    Level level_, coarse_;
+    std::unique_ptr<SightLines> lines_;
+};
+
+}  // namespace vdbcarve::fairing

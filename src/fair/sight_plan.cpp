@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "fair/sight_plan.h"
+
+#include <algorithm>
+
+namespace vdbcarve::fairing {
+
+using kernel::FairEye;
+
+namespace {
+
+constexpr int kReach_samples = 4;
+
+/// Centre of voxel (0, 0, 0) of a level, world.
+Vec3d first_voxel(const openvdb::math::Transform& finest, int shift) {
+    const openvdb::Vec3d first = finest.indexToWorld(openvdb::Vec3d(0.5 * ((1 << shift) - 1)));
+    return {first.x(), first.y(), first.z()};
+}
+
+FairEye eye_of(const Camera& camera, int scale, const Vec3d& origin, double voxel) {
+    const Intrinsics& k = camera.intrinsics;
+    FairEye e{};
+    e.fx = k.fx / scale;
+    e.fy = k.fy / scale;
+    e.skew = k.skew / scale;
+    e.cx = k.cx / scale;
+    e.cy = k.cy / scale;
+    e.inverse_fx = 1 / e.fx;
+    e.inverse_fy = 1 / e.fy;
+    e.inverse_voxel = 1 / voxel;
+    e.orthographic = k.orthographic;
+    const Vec3d centre = (camera.centre_world() - origin) / voxel;
+    const Mat3d world_from_camera = camera.camera_from_world.rotation.transpose();
+    for (int a = 0; a < 3; ++a) {
+        e.centre[a] = centre[a];
+        for (int b = 0; b < 3; ++b) e.axes[a][b] = world_from_camera(a, b);
+    }
+    return e;
+}
+
+/// Pixels across a voxel in the middle of the lattice, median over views.
+double pixels_per_voxel(const LeafLattice& lattice, const Vec3d& origin, double voxel, const std::vector<FairView>& views) {
+    Vec3d middle;
+    for (size_t a = 0; a < 3; ++a) middle[static_cast<int>(a)] = 8 * (lattice.lo[a] + 0.5 * lattice.size[a]);
+    middle = origin + voxel * middle;
+    std::vector<double> px;
+    for (const FairView& v : views) {
+        const Intrinsics& k = v.camera.intrinsics;
+        const double depth = k.orthographic ? 1.0 : (v.camera.camera_from_world * middle).z();
+        px.push_back(voxel * std::max(k.fx, k.fy) / std::max(depth, voxel));
+    }
+    std::nth_element(px.begin(), px.begin() + static_cast<long>(px.size() / 2), px.end());
+    return px[px.size() / 2];
+}
+
+}  // namespace
+
+SightPlan plan_sight(const LeafLattice& lattice, const openvdb::math::Transform& finest, const std::vector<FairView>& views, int scale, bool exact) {
+    const double voxel = finest.voxelSize()[0] * (1 << lattice.shift);
+    const Vec3d origin = first_voxel(finest, lattice.shift);
+    SightPlan out;
+    out.scale = std::max(scale, 1);
+    if (scale == 0)
+        for (const double px = pixels_per_voxel(lattice, origin, voxel, views); 2 * out.scale <= px;) out.scale *= 2;
+    out.exact = exact && out.scale == 1;
+    for (const FairView& v : views) {
+        out.masks.push_back(v.mask);
+        out.eyes.push_back(eye_of(v.camera, out.scale, origin, voxel));
+    }
+    out.fields.scale = out.scale;
+    out.fields.reach_samples = kReach_samples;
+    return out;
+}
+
+kernel::FairMask mask_of(const DistanceField& header, const int16_t* silhouette, const int16_t* ignored) {
+    const SampledField &s = header.silhouette, &i = header.ignored;
+    return {silhouette, ignored, s.x0, s.y0, silhouette ? s.width : 0, silhouette ? s.height : 0, i.x0, i.y0, i.width, i.height};
+}
+
+}  // namespace vdbcarve::fairing

@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdbcarve/slack.h"
+
+#include <openvdb/tools/Interpolation.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "fair/fair_level.h"
+#include "vdbcarve/geometry.h"
+#include "volume/same_transform.h"
+
+namespace vdbcarve {
+
+using namespace fairing;
+using openvdb::Coord;
+
+namespace {
+
+/// The hull's distances, in voxels of the finest level, as far inside as the object is deep.
+class HullDistance {
+  public:
+    explicit HullDistance(const openvdb::FloatGrid& hull) {
+        levels_.push_back(level_of(hull));
+        find_least(levels_[0], levels_[0].hull);
+        // Until the band reaches the middle of the object.
+        for (double longest = 8.0 * *std::max_element(levels_[0].size.begin(), levels_[0].size.end()); longest > 2 * static_cast<double>(kernel::kFairBand_vox);
+             longest /= 2)
+            levels_.push_back(coarser(levels_.back(), false));
+    }
+    /// How deep a point lies, from the finest level whose band reaches so deep. 0 outside.
+    float depth(float x, float y, float z) const {
+        constexpr float kWithinBand_vox = kernel::kFairBand_vox - 0.5f;
+        float side = 1.f, out = 0.f;
+        for (const Level& level : levels_) {
+            const float shift = 0.5f * (side - 1.f);
+            const kernel::FairField f = level.view(level.hull);
+            const kernel::FairCell c = kernel::fair_cell((x - shift) / side, (y - shift) / side, (z - shift) / side);
+            const float value = kernel::value_in(f, f.leaf(c.i, c.j, c.k), c);
+            out = kernel::max_f(-value * side, 0.f);
+            if (value > -kWithinBand_vox) break;
+            side *= 2.f;
+        }
+        return out;
+    }
+
+  private:
+    std::vector<Level> levels_;
+};
+
+}  // namespace
+
+openvdb::FloatGrid::Ptr slack(const openvdb::FloatGrid& hull, const openvdb::FloatGrid& surface) {
+    const HullDistance hull_distance(hull);
+    const auto voxel = static_cast<float>(surface.voxelSize()[0]);
+    auto out = openvdb::FloatGrid::create(0.f);
+    out->setTree(std::make_shared<openvdb::FloatTree>(surface.tree(), 0.f, openvdb::TopologyCopy()));
+    out->setTransform(same_transform(surface.transform()));
+    out->setName("slack");
+    std::vector<openvdb::FloatTree::LeafNodeType*> leaves;
+    out->tree().getNodes(leaves);
+    tbb::parallel_for(tbb::blocked_range<size_t>(0, leaves.size(), 16), [&](const tbb::blocked_range<size_t>& range) {
+        openvdb::FloatGrid::ConstAccessor at(surface.tree());
+        for (size_t n = range.begin(); n < range.end(); ++n)
+            for (auto v = leaves[n]->beginValueOn(); v; ++v) {
+                const Coord c = v.getCoord();
+                const float here = at.getValue(c) / voxel;
+                float slope[3];
+                for (int a = 0; a < 3; ++a) {
+                    Coord before = c, after = c;
+                    --before[a];
+                    ++after[a];
+                    slope[a] = 0.5f * (at.getValue(after) - at.getValue(before)) / voxel;
+                }
+                const float length2 = kernel::max_f((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2], 0.25f);
+                float p[3];
+                for (int a = 0; a < 3; ++a) p[a] = static_cast<float>(c[a]) - here * slope[a] / length2;
+                v.setValue(voxel * hull_distance.depth(p[0], p[1], p[2]));
+            }
+    });
+    return out;
+}
+
+void set_slack(Mesh& mesh, const openvdb::FloatGrid& slack) {
+    mesh.slack.resize(mesh.vertices.size());
+    tbb::parallel_for(tbb::blocked_range<size_t>(0, mesh.vertices.size(), 4096), [&](const tbb::blocked_range<size_t>& range) {
+        const openvdb::FloatGrid::ConstAccessor tree(slack.tree());
+        const openvdb::tools::GridSampler<openvdb::FloatGrid::ConstAccessor, openvdb::tools::BoxSampler> at(tree, slack.transform());
+        for (size_t v = range.begin(); v < range.end(); ++v)
+            mesh.slack[v] = at.wsSample(openvdb::Vec3d(mesh.vertices[v][0], mesh.vertices[v][1], mesh.vertices[v][2]));
+    });
+}
+
+SlackShares slack_shares(const Mesh& mesh) {
+    const auto point = [&](uint32_t v) { return Vec3d(mesh.vertices[v][0], mesh.vertices[v][1], mesh.vertices[v][2]); };
+    std::vector<double> area(mesh.vertices.size());
+    double all = 0, known = 0, sum = 0;
+    for (const auto& t : mesh.triangles) {
+        const Vec3d a = point(t[0]);
+        const double third = (point(t[1]) - a).cross(point(t[2]) - a).norm() / 6;
+        for (const uint32_t v : t) area[v] += third;
+        all += 3 * third;
+    }
+    std::vector<uint32_t> order;
+    for (uint32_t v = 0; v < area.size(); ++v)
+        if (mesh.extrapolated.empty() || !mesh.extrapolated[v]) {
+            order.push_back(v);
+            known += area[v];
+            sum += area[v] * static_cast<double>(mesh.slack[v]);
+        }
+    std::sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return mesh.slack[a] != mesh.slack[b] ? mesh.slack[a] < mesh.slack[b] : a < b; });
+    SlackShares out;
+    if (!(all > 0)) return out;
+    out.known_share = known / all;
+    out.mean = known > 0 ? sum / known : 0;
+    out.most_share = std::min(0.9, out.known_share);
+    out.half = out.most = std::numeric_limits<double>::infinity();
+    double so_far = 0;
+    for (const uint32_t v : order) {
+        so_far += area[v];
+        const double here = static_cast<double>(mesh.slack[v]);
+        if (so_far >= 0.5 * all) out.half = std::min(out.half, here);
+        if (so_far >= out.most_share * all * (1 - 1e-9)) out.most = std::min(out.most, here);
+    }
+    return out;
+}
+
+}  // namespace vdbcarve
