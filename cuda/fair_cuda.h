@@ -61,7 +61,6 @@ class FairStage {
     };
     Surface surface(float voxel, const Stream& stream, StageTimes& times);
 
-    bool has_level() const { return begun_; }
     const FairLevel& level() const { return level_; }
     FairLevel& level() { return level_; }
     /// Null: the level at hand is the coarsest.
@@ -82,7 +81,7 @@ class FairStage {
 
     std::vector<FairLevel> hulls_;  ///< those made before are kept for their memory
     size_t depth_ = 0;              ///< of these, how many are finer than the level at hand, once there is one
-    bool begun_ = false, coarsest_ = true;
+    bool coarsest_ = true;
     FairLevel level_, coarse_;
     DeviceBuffer<float> scratch_, more_scratch_;  ///< by voxel
     DeviceBuffer<int32_t> counts_, first_, list_;

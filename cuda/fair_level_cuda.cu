@@ -180,7 +180,6 @@ void FairStage::number_leaves(FairLevel& level, const Stream& stream) {
 
 bool FairStage::take(const Grid& hull, const Topology& topology, float voxel, const Stream& stream, StageTimes& times) {
     const uint32_t count = hull.leaf_count();
-    begun_ = false;
     coarsest_ = true;
     depth_ = 1;
     if (hulls_.empty()) hulls_.emplace_back();
@@ -248,7 +247,6 @@ void FairStage::coarsen(bool whole, const Stream& stream, StageTimes& times) {
 
 void FairStage::begin(const Stream& stream, StageTimes& times) {
     const FairLevel& hull = hulls_[--depth_];
-    begun_ = true;
     times.measure("fair: levels", stream, [&] {
         level_.lo = hull.lo;
         level_.size = hull.size;

@@ -11,7 +11,7 @@ voxel = report["grid"]["voxel_size"]
 grids, metadata = vdb.readAll(f"{out}/volume.vdb")
 by_name = {g.name: g for g in grids}
 print({n: (g.gridClass, type(g).__name__, g.background, g.activeVoxelCount()) for n, g in by_name.items()}, metadata)
-assert set(by_name) == {"surface", "density", "color"}
+assert set(by_name) == {"surface", "density", "slack", "color"}
 surface, density, color = by_name["surface"], by_name["density"], by_name["color"]
 assert surface.gridClass == vdb.GridClass.LEVEL_SET and abs(surface.background - 3 * voxel) < 1e-6 * voxel
 assert density.gridClass == vdb.GridClass.FOG_VOLUME and density.background == 0
