@@ -9,6 +9,7 @@
 
 #include "fair/fair_level.h"
 #include "vdbcarve/geometry.h"
+#include "vdbcarve/kernel/level_set.h"
 #include "volume/same_transform.h"
 
 namespace vdbcarve {
@@ -18,35 +19,81 @@ using openvdb::Coord;
 
 namespace {
 
-/// The hull's distances, in voxels of the finest level, as far inside as the object is deep.
+/// The hull's distances, in voxels of the finest level: within each level's band the level's, deeper in those of a coarse dense block.
 class HullDistance {
   public:
     explicit HullDistance(const openvdb::FloatGrid& hull) {
         levels_.push_back(level_of(hull));
         find_least(levels_[0], levels_[0].hull);
-        // Until the band reaches the middle of the object.
-        for (double longest = 8.0 * *std::max_element(levels_[0].size.begin(), levels_[0].size.end()); longest > 2 * static_cast<double>(kernel::kFairBand_vox);
-             longest /= 2)
+        constexpr int kFewLeaves = 12;
+        for (int n = *std::max_element(levels_[0].size.begin(), levels_[0].size.end()); n > kFewLeaves; n /= 2)
             levels_.push_back(coarser(levels_.back(), false));
+        sweep();
     }
-    /// How deep a point lies, from the finest level whose band reaches so deep. 0 outside.
+    /// How deep a point lies. 0 outside.
     float depth(float x, float y, float z) const {
         constexpr float kWithinBand_vox = kernel::kFairBand_vox - 0.5f;
-        float side = 1.f, out = 0.f;
+        float side = 1.f;
         for (const Level& level : levels_) {
-            const float shift = 0.5f * (side - 1.f);
             const kernel::FairField f = level.view(level.hull);
-            const kernel::FairCell c = kernel::fair_cell((x - shift) / side, (y - shift) / side, (z - shift) / side);
+            const kernel::FairCell c = cell(x, y, z, side);
             const float value = kernel::value_in(f, f.leaf(c.i, c.j, c.k), c);
-            out = kernel::max_f(-value * side, 0.f);
-            if (value > -kWithinBand_vox) break;
+            if (value > -kWithinBand_vox) return kernel::max_f(-value * side, 0.f);
             side *= 2.f;
         }
-        return out;
+        side *= 0.5f;
+        const kernel::FairCell c = cell(x, y, z, side);
+        float v[8];
+        for (int n = 0; n < 8; ++n) v[n] = deep_at(c.i + (n >> 2), c.j + (n >> 1 & 1), c.k + (n & 1));
+        return side * kernel::trilinear(v, c);
     }
 
   private:
+    static kernel::FairCell cell(float x, float y, float z, float side) {
+        const float shift = 0.5f * (side - 1.f);
+        return kernel::fair_cell((x - shift) / side, (y - shift) / side, (z - shift) / side);
+    }
+    /// Of a voxel of the coarsest level.
+    float deep_at(int i, int j, int k) const {
+        const Level& level = levels_.back();
+        const int x = i - 8 * level.lo[0], y = j - 8 * level.lo[1], z = k - 8 * level.lo[2];
+        if (x < 0 || y < 0 || z < 0 || x >= 8 * level.size[0] || y >= 8 * level.size[1] || z >= 8 * level.size[2]) return 0.f;
+        return deep_[(static_cast<size_t>(x) * 8 * static_cast<size_t>(level.size[1]) + static_cast<size_t>(y)) * 8 * static_cast<size_t>(level.size[2]) +
+                     static_cast<size_t>(z)];
+    }
+    /// Fast sweeping (Zhao, Math. Comp. 2005) from the band inwards: all eight orders, twice.
+    void sweep() {
+        const Level& level = levels_.back();
+        const kernel::FairField f = level.view(level.hull);
+        const int n[3] = {8 * level.size[0], 8 * level.size[1], 8 * level.size[2]};
+        const auto at = [&n](int x, int y, int z) {
+            return (static_cast<size_t>(x) * static_cast<size_t>(n[1]) + static_cast<size_t>(y)) * static_cast<size_t>(n[2]) + static_cast<size_t>(z);
+        };
+        constexpr float kFar = 1e6f, kKnown_vox = kernel::kFairBand_vox - 1.f;
+        deep_.resize(at(n[0] - 1, n[1] - 1, n[2] - 1) + 1);
+        for (int x = 0; x < n[0]; ++x)
+            for (int y = 0; y < n[1]; ++y)
+                for (int z = 0; z < n[2]; ++z) {
+                    const float v = f.at(x + 8 * level.lo[0], y + 8 * level.lo[1], z + 8 * level.lo[2]);
+                    deep_[at(x, y, z)] = v < -kKnown_vox ? kFar : kernel::max_f(-v, 0.f);
+                }
+        for (int order = 0; order < 16; ++order) {
+            const auto place = [&](int axis, int step) { return order >> axis & 1 ? n[axis] - 2 - step : 1 + step; };
+            for (int a = 0; a < n[0] - 2; ++a)
+                for (int b = 0; b < n[1] - 2; ++b)
+                    for (int c = 0; c < n[2] - 2; ++c) {
+                        const int x = place(0, a), y = place(1, b), z = place(2, c);
+                        float& here = deep_[at(x, y, z)];
+                        if (here <= kKnown_vox) continue;
+                        const auto least = [&](size_t p, size_t q) { return kernel::min_f(deep_[p], deep_[q]); };
+                        here = kernel::min_f(here, kernel::eikonal(least(at(x - 1, y, z), at(x + 1, y, z)), least(at(x, y - 1, z), at(x, y + 1, z)),
+                                                                   least(at(x, y, z - 1), at(x, y, z + 1))));
+                    }
+        }
+    }
+
     std::vector<Level> levels_;
+    std::vector<float> deep_;  ///< of the coarsest level's voxels, x leads
 };
 
 }  // namespace

@@ -239,7 +239,7 @@ TEST(Pipeline, TheFairSurfaceLiesInsideTheHull) {
     job.run();
     EXPECT_EQ(read_vdb(job.folder / "out/volume.vdb").size(), 2u);
     // Wider and narrower bands.
-    job.options.surface.fair = true;
+    job.options.surface = {};
     for (const int width : {2, 5}) {
         job.options.carve.half_width_vox = width;
         const json wide = job.run();
