@@ -4,6 +4,7 @@
 #include <openvdb/tools/Interpolation.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -24,7 +25,6 @@ class HullDistance {
   public:
     explicit HullDistance(const openvdb::FloatGrid& hull) {
         levels_.push_back(level_of(hull));
-        find_least(levels_[0], levels_[0].hull);
         constexpr int kFewLeaves = 12;
         for (int n = *std::max_element(levels_[0].size.begin(), levels_[0].size.end()); n > kFewLeaves; n /= 2)
             levels_.push_back(coarser(levels_.back(), false));
@@ -58,17 +58,20 @@ class HullDistance {
         const Level& level = levels_.back();
         const int x = i - 8 * level.lo[0], y = j - 8 * level.lo[1], z = k - 8 * level.lo[2];
         if (x < 0 || y < 0 || z < 0 || x >= 8 * level.size[0] || y >= 8 * level.size[1] || z >= 8 * level.size[2]) return 0.f;
-        return deep_[(static_cast<size_t>(x) * 8 * static_cast<size_t>(level.size[1]) + static_cast<size_t>(y)) * 8 * static_cast<size_t>(level.size[2]) +
-                     static_cast<size_t>(z)];
+        return deep_[deep_place(x, y, z)];
+    }
+    /// Where voxel (x, y, z) from the coarsest level's first one lies.
+    size_t deep_place(int x, int y, int z) const {
+        const std::array<int, 3>& leaves = levels_.back().size;
+        return (static_cast<size_t>(x) * 8 * static_cast<size_t>(leaves[1]) + static_cast<size_t>(y)) * 8 * static_cast<size_t>(leaves[2]) +
+               static_cast<size_t>(z);
     }
     /// Fast sweeping (Zhao, Math. Comp. 2005) from the band inwards: all eight orders, twice.
     void sweep() {
         const Level& level = levels_.back();
         const kernel::FairField f = level.view(level.hull);
         const int n[3] = {8 * level.size[0], 8 * level.size[1], 8 * level.size[2]};
-        const auto at = [&n](int x, int y, int z) {
-            return (static_cast<size_t>(x) * static_cast<size_t>(n[1]) + static_cast<size_t>(y)) * static_cast<size_t>(n[2]) + static_cast<size_t>(z);
-        };
+        const auto at = [this](int x, int y, int z) { return deep_place(x, y, z); };
         constexpr float kFar = 1e6f, kKnown_vox = kernel::kFairBand_vox - 1.f;
         deep_.resize(at(n[0] - 1, n[1] - 1, n[2] - 1) + 1);
         for (int x = 0; x < n[0]; ++x)

@@ -139,7 +139,7 @@ class PictureRun {
             }
         } else {
             if (options_.style != RenderStyle::Surface || request_.slack)
-                throw UsageError(source.string() + ": a mesh has no voxels, no thickness and no sections. Remedy: the volume");
+                throw UsageError(source.string() + ": a mesh has no voxels, no thickness and no sections, and its slack is not drawn. Remedy: the volume");
             if (request_.backend == Backend::Cuda) throw UsageError("--backend cuda: meshes are rendered on the CPU. Remedy: without it, or the volume");
             mesh_ = read_mesh(source);
             if (mesh_.triangles.empty()) throw InputError(source.string() + ": has no faces");

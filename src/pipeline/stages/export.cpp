@@ -121,8 +121,8 @@ void Export::measure_slack(Exported& e, Progress& progress) const {
     const std::optional<double> metres = metres_per(made.shoot.views.units);
     const double unit = metres ? 1e3 * *metres : 1;
     if (std::isfinite(e.slack->half))
-        progress.note(text_of("the silhouettes leave %.2g %s open on half of the surface at most, %.2g %s on %.0f %%", unit * e.slack->half,
-                              metres ? "mm" : "units", unit * e.slack->most, metres ? "mm" : "units", 100 * e.slack->most_share));
+        progress.note(text_of("half of the surface lies within %.2g %s of the hull, %.0f %% of it within %.2g %s: so much the silhouettes leave open",
+                              unit * e.slack->half, metres ? "mm" : "units", 100 * e.slack->most_share, unit * e.slack->most, metres ? "mm" : "units"));
 }
 
 void Export::warn_of_frames(Progress& progress) const {
