@@ -197,7 +197,7 @@ void StereoStage::begin(size_t level, const std::vector<StereoPixels>& views, bo
     });
 }
 
-void StereoStage::match(const std::vector<Work>& views, int passes, const StereoTrustRule& rule, const Stream& stream, StageTimes& times) {
+void StereoStage::match(const std::vector<Work>& views, int first_pass, int last_pass, const StereoTrustRule& rule, const Stream& stream, StageTimes& times) {
     Parts& p = *parts_;
     Parts::Level& level = p.levels[p.level];
     const dim3 threads(kTileWidth, kTileHeight);
@@ -217,6 +217,7 @@ void StereoStage::match(const std::vector<Work>& views, int passes, const Stereo
                 const Parts::Level& coarser = p.levels[p.level + 1];
                 const Parts::View& c = coarser.views[static_cast<size_t>(reference.view)];
                 reference.coarse = coarser.planes.data() + c.first;
+                reference.coarse_likely = coarser.agreed.data() + c.first;
                 reference.coarse_width = c.width;
                 reference.coarse_height = c.height;
             }
@@ -227,7 +228,7 @@ void StereoStage::match(const std::vector<Work>& views, int passes, const Stereo
             VDBCARVE_LAUNCHED();
             start_planes<<<all, threads, 0, on>>>(reference, planes);
             VDBCARVE_LAUNCHED();
-            for (int pass = 0; pass < passes; ++pass)
+            for (int pass = first_pass; pass < last_pass; ++pass)
                 for (const int color : {0, 1}) {
                     better_planes<<<half, threads, 0, on>>>(reference, planes, pass, color);
                     VDBCARVE_LAUNCHED();

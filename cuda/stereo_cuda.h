@@ -37,7 +37,7 @@ class StereoStage {
         kernel::HullView hull;
     };
     /// Best planes of views and their likelihoods, which stay on the device. Several views at a time, for one of a coarse level does not fill the device.
-    void match(const std::vector<Work>& views, int passes, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);
+    void match(const std::vector<Work>& views, int first_pass, int last_pass, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);
 
     /// Likelihoods of what other views of those matched find, too; 0 elsewhere.
     void agree(const std::vector<Work>& views, const kernel::StereoTrustRule& rule, const Stream& stream, StageTimes& times);

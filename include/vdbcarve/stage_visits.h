@@ -223,8 +223,8 @@ void visit(O& o, V& v) {
     v(Option{"stereo-pairs"}, o.pairs, within(2, 8));
     v(Option{"stereo-least-angle"}, o.least_angle_deg, within(0, 180));
     v(Option{"stereo-most-angle"}, o.most_angle_deg, within(0, 180));
-    v(Option{"stereo-scale", "photographs are compared at 1/N of their size: 1 finest and slowest; 0: 1 on a GPU, 2 on a CPU", "Stereo", in::kMeshing}, o.scale,
-      within(0, 16));
+    v(Option{"stereo-scale", "photographs are compared at 1/N of their size: 1 finest and slowest; 0: as fine as the voxels need", "Stereo", in::kMeshing},
+      o.scale, within(0, kMostStereoScale));
     v(Option{"stereo-levels", "sizes of photographs that are compared, each half of the one before", "Stereo", in::kMeshing}, o.levels, within(1, 4));
     v(Option{"stereo-passes"}, o.passes, within(1, 1000));
     v(Option{"stereo-depth", "how deep behind the hull depths are searched, as a share of the object's size", "Stereo", in::kMeshing}, o.depth_share,

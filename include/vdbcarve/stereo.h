@@ -26,19 +26,26 @@ struct StereoTrust {
     bool operator==(const StereoTrust&) const = default;
 };
 
+inline constexpr int kMostStereoScale = 16;
+/// By default photographs are compared at the smallest size at which a pixel covers no more than this of a voxel; whatever the machine.
+inline constexpr double kStereoPixel_vox = 0.35;
+
 struct StereoOptions {
     int pairs = 6;                                    ///< other views a view is compared with, 2..8
     double least_angle_deg = 8, most_angle_deg = 40;  ///< between their lines of sight to the object
-    int scale = 0;                                    ///< pixels of a photograph a side of one that is worked with, 1..16; 0: 1 on a GPU, 2 on a CPU
+    int scale = 0;                                    ///< pixels of a photograph a side of one that is worked with, 1..16; 0: default_stereo_scale()
     int levels = 3;             ///< sizes of photographs that are worked with, each half of the one before: the coarser ones see less texture as more
-    int passes = 6;             ///< of PatchMatch, for each
+    int passes = 6;             ///< of PatchMatch, for the coarsest; each finer one takes half as many
     double depth_share = 0.35;  ///< the search ends so far behind the hull's front, of the object's longest side
     StereoTrust trust;
     double truncation_vox = 1.5;  ///< of distances before a depth
     double reach_share = 0.01;    ///< so far behind it a depth is evidence of the object, of its longest side; at least two truncations
     double coarser_weight = 0.2;  ///< of a level's depths against those of the finer one
     double least_weight = 0.8;    ///< confidence x cosine, summed over views, from which on depths count as much as the hull
-    double least_piece = 0.01;    ///< loose pieces of less than this share of the piece of the hull that they were part of are dropped
+    /// The larger of hull and depth is what is left, so that noise of depths would eat into a hull that is right. Where they nearly agree the hull is: near it
+    /// depths have to say more by so many pixels of the object, which is how far they may be off.
+    double hull_margin_px = 1;
+    double least_piece = 0.01;  ///< loose pieces of less than this share of the piece of the hull that they were part of are dropped
     bool operator==(const StereoOptions&) const = default;
 };
 
@@ -67,8 +74,11 @@ struct StereoResult {
     std::string backend_used = "cpu";
 };
 
+/// A power of two, 1..16 (kStereoPixel_vox). `cameras`: of the photographs.
+int default_stereo_scale(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras);
+
 /// Carves a hull's level set by the photographs' depths. Photographs are asked for all at once; the gains between them do not matter (ZNCC). Same bits for any
-/// number of threads. Time: pixels of the object x views x about 100 planes x pairs x 25 samples. Memory: the photographs, and 40 bytes a working pixel and
+/// number of threads. Time: pixels of the object x views x about 25 planes x pairs x 25 samples. Memory: the photographs, and 40 bytes a working pixel and
 /// view (beside a GPU 14), a third more for the coarser ones. Throws InputError naming the view whose photograph does not fit its camera or is too small,
 /// UsageError for bad options.
 StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const StereoOptions& options,

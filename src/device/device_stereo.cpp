@@ -63,7 +63,7 @@ StereoResult Device::stereo(const openvdb::FloatGrid& surface, const std::vector
     const Parts::Volume& volume = p.need(p.surface, "level set");
     StereoResult out;
     out.backend_used = "cuda";
-    out.scale = options.scale ? options.scale : 1;
+    out.scale = options.scale ? options.scale : default_stereo_scale(surface, used_cameras(inputs));
     const size_t n = inputs.size();
     const RenderFrame frame = stereo_frame(surface);
     const double deepest = options.depth_share * longest_side(surface), voxel = surface.voxelSize()[0];
@@ -86,7 +86,8 @@ StereoResult Device::stereo(const openvdb::FloatGrid& surface, const std::vector
         std::vector<cuda::StereoStage::Work> work;
         for (size_t v = 0; v < n; ++v)
             if (!sources[v].pairs.empty()) work.push_back({stereo_reference(sources, v, voxel), hull_view(frame, sources[v], deepest)});
-        p.stereo.match(work, options.passes, rule, p.stream, p.times);
+        const StereoPasses passes = stereo_passes(l, levels.size(), options);
+        p.stereo.match(work, passes.first, passes.last, rule, p.stream, p.times);
         p.stereo.agree(work, rule, p.stream, p.times);
         const std::vector<uint32_t> counts = p.stereo.counts(p.stream);
         out.views.assign(n, {});

@@ -44,7 +44,6 @@ class Matcher {
     Matcher(const openvdb::FloatGrid& surface, const SeenVolume& volume, const std::vector<StereoSource>& sources, const StereoOptions& options,
             Progress& progress)
         : sources_(sources),
-          options_(options),
           rule_(trust_rule(options.trust)),
           progress_(progress),
           volume_(volume),
@@ -52,7 +51,7 @@ class Matcher {
           voxel_(surface.voxelSize()[0]) {}
 
     /// Best planes of a view, and how likely they are by what it was compared with.
-    StereoDepthMap match(size_t v, const StereoLevel* coarser, StereoViewStatistics& statistics) {
+    StereoDepthMap match(size_t v, const StereoLevel* coarser, const StereoPasses& passes, StereoViewStatistics& statistics) {
         const StereoSource& s = sources_[v];
         StereoDepthMap out;
         statistics.pairs = s.pairs.size();
@@ -64,6 +63,7 @@ class Matcher {
         reference.hull = hull.data();
         if (coarser) {
             reference.coarse = coarser->maps[v].planes.data();
+            reference.coarse_likely = coarser->maps[v].confidence.data();
             reference.coarse_width = coarser->sources[v].width;
             reference.coarse_height = coarser->sources[v].height;
         }
@@ -71,7 +71,7 @@ class Matcher {
         out.confidence.resize(s.grey.size());
         const VectorLoops& loops = vector_loops();
         for_rows(s, [&](int y) { loops.first_planes(reference, y, out.planes.data()); });
-        for (int pass = 0; pass < options_.passes; ++pass)
+        for (int pass = passes.first; pass < passes.last; ++pass)
             for (const int color : {0, 1}) for_rows(s, [&](int y) { loops.better_planes(reference, y, pass, color, out.planes.data()); });
         for_rows(s, [&](int y) { loops.likelihoods(reference, rule_, y, out.planes.data(), out.confidence.data()); });
         for (size_t n = 0; n < hull.size(); ++n) {
@@ -126,7 +126,6 @@ class Matcher {
     }
 
     const std::vector<StereoSource>& sources_;
-    const StereoOptions& options_;
     kernel::StereoTrustRule rule_;
     Progress& progress_;
     const SeenVolume& volume_;
@@ -140,7 +139,7 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
     check_stereo(surface, inputs, options);
     StereoResult out;
     const size_t n = inputs.size();
-    out.scale = options.scale ? options.scale : 2;
+    out.scale = options.scale ? options.scale : default_stereo_scale(surface, used_cameras(inputs));
     const auto start = std::chrono::steady_clock::now();
     auto lap = [&, last = start](const char* what) mutable {
         const auto now = std::chrono::steady_clock::now();
@@ -157,7 +156,8 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
         out.views.assign(n, {});
         level.maps.resize(n);
         Matcher matcher(surface, volume, level.sources, options, progress);
-        for (size_t v = 0; v < n; ++v) level.maps[v] = matcher.match(v, l + 1 < levels.size() ? &levels[l + 1] : nullptr, out.views[v]);
+        for (size_t v = 0; v < n; ++v)
+            level.maps[v] = matcher.match(v, l + 1 < levels.size() ? &levels[l + 1] : nullptr, stereo_passes(l, levels.size(), options), out.views[v]);
         lap("match");
         matcher.keep_agreed(level.maps);
         lap("agree");

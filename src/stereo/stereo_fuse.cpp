@@ -12,7 +12,6 @@
 #include "surface/pieces.h"
 #include "surface/redistance.h"
 #include "volume/same_transform.h"
-#include "base/statistics.h"
 #include "stereo/stereo_plan.h"
 #include "base/vector_loops.h"
 
@@ -23,20 +22,8 @@ using Leaf = openvdb::FloatTree::LeafNodeType;
 
 constexpr int kCell_px = 8;
 
-/// The larger of hull and depth is what is left, so that noise of depths would eat into a hull that is right. Where they nearly agree the hull is: near it
-/// depths have to say more by a pixel of the object, which is how far they may be off.
-constexpr double kHullMargin_px = 1, kMostHullMargin_vox = 1.5;
-
-/// How much of the object a pixel covers, world units; median of the views.
-double pixel_on_object(const std::vector<StereoSource>& sources, const Vec3d& object) {
-    std::vector<double> out;
-    for (const StereoSource& s : sources) {
-        if (s.pairs.empty()) continue;
-        const Intrinsics& k = s.camera.intrinsics;
-        out.push_back((k.orthographic ? 1 : std::max((s.camera.camera_from_world * object).z(), 0.0)) / std::sqrt(k.fx * k.fy));
-    }
-    return out.empty() ? 0 : median(out);
-}
+/// Of StereoOptions::hull_margin_px, at most.
+constexpr double kMostHullMargin_vox = 1.5;
 
 /// Where a view lies in the lattice.
 kernel::FusionView fusion_view(const StereoSource& s, const RenderFrame& frame, float weight) {
@@ -141,15 +128,16 @@ FusionPlan plan_fusion(const openvdb::FloatGrid& surface, const std::vector<Ster
             if (!levels[l].sources[v].pairs.empty())
                 out.views.push_back(
                     {l, v, fusion_view(levels[l].sources[v], frame, static_cast<float>(std::pow(options.coarser_weight, static_cast<double>(l))))});
-    const openvdb::CoordBBox box = leaf_box(surface);
-    const openvdb::Vec3d middle = surface.indexToWorld(0.5 * (box.min().asVec3d() + box.max().asVec3d()));
-    const double pixel_vox = pixel_on_object(levels.front().sources, Vec3d(middle[0], middle[1], middle[2])) / frame.voxel_size;
+    std::vector<Camera> cameras;
+    for (const StereoSource& s : levels.front().sources)
+        if (!s.pairs.empty()) cameras.push_back(s.camera);
+    const double pixel_vox = pixel_on_object(cameras, middle_of(surface)) / frame.voxel_size;
     out.rule.voxel = static_cast<float>(frame.voxel_size);
     out.rule.band = surface.background();
     out.rule.truncation = static_cast<float>(options.truncation_vox);
     out.rule.reach = static_cast<float>(std::max(2 * options.truncation_vox, options.reach_share * longest_side(surface) / frame.voxel_size));
     out.rule.full_weight = static_cast<float>(options.least_weight);
-    out.rule.hull_margin = static_cast<float>(std::min(kMostHullMargin_vox, kHullMargin_px * pixel_vox));
+    out.rule.hull_margin = static_cast<float>(std::min(kMostHullMargin_vox, options.hull_margin_px * pixel_vox));
     out.blocks = blocks_of(surface.tree());
     return out;
 }

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "base/statistics.h"
 #include "color/color_plan.h"
 #include "mesh/marching_cubes.h"
 #include "vdbcarve/error.h"
@@ -20,7 +21,8 @@ void check_stereo(const openvdb::FloatGrid& surface, const std::vector<ColorInpu
         throw UsageError("stereo: a view is compared with " + std::to_string(o.pairs) + " others, must be 2.." + std::to_string(kernel::kMostStereoPairs));
     if (!(o.least_angle_deg > 0) || !(o.most_angle_deg > o.least_angle_deg) || o.most_angle_deg > 90)
         throw UsageError("stereo: the angles between views are not 0 < least < most <= 90 degrees");
-    if (o.scale < 0 || o.scale > 16) throw UsageError("stereo: the scale is " + std::to_string(o.scale) + ", must be 0 (by itself) or 1..16");
+    if (o.scale < 0 || o.scale > kMostStereoScale)
+        throw UsageError("stereo: the scale is " + std::to_string(o.scale) + ", must be 0 (by itself) or 1.." + std::to_string(kMostStereoScale));
     if (o.passes < 1 || o.passes > 30) throw UsageError("stereo: passes are " + std::to_string(o.passes) + ", must be 1..30");
     if (o.levels < 1 || o.levels > 4) throw UsageError("stereo: levels are " + std::to_string(o.levels) + ", must be 1..4");
     if (!(o.depth_share > 0 && o.depth_share <= 1)) throw UsageError("stereo: the depth is not within 0..1 of the object's size");
@@ -210,8 +212,7 @@ std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const 
     }
     Progress quiet;
     const std::vector<DistanceField> fields = distance_fields(present, margin_fields(), quiet);
-    const openvdb::CoordBBox box = leaf_box(surface);
-    const openvdb::Vec3d middle = surface.indexToWorld(0.5 * (box.min().asVec3d() + box.max().asVec3d()));
+    const Vec3d middle = middle_of(surface);
     std::vector<StereoLevel> out;
     constexpr int kLeastSide_px = 24;  ///< nearly three windows
     for (int level = 0; level < o.levels; ++level) {
@@ -223,9 +224,44 @@ std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const 
                              " pixels, too few to compare. Remedy: " + (scale > 1 ? "a smaller --stereo-scale" : "larger photographs"));
         if (small != used.end()) break;
         out.push_back({scale << level, {}, {}});
-        out.back().sources = sources_of(inputs, pictures, used, present, fields, out.back().scale, Vec3d(middle[0], middle[1], middle[2]), o);
+        out.back().sources = sources_of(inputs, pictures, used, present, fields, out.back().scale, middle, o);
     }
     return out;
+}
+
+StereoPasses stereo_passes(size_t level, size_t levels, const StereoOptions& options) {
+    const size_t finer = levels - 1 - level;
+    const int first = finer ? (options.passes + 1) / 2 : 0;
+    return {first, first + std::max(options.passes >> std::min<size_t>(finer, 30), 1)};
+}
+
+std::vector<Camera> used_cameras(const std::vector<ColorInput>& inputs) {
+    std::vector<Camera> out;
+    for (const ColorInput& input : inputs)
+        if (input.use) out.push_back(input.camera);
+    return out;
+}
+
+double pixel_on_object(const std::vector<Camera>& cameras, const Vec3d& object) {
+    std::vector<double> out;
+    for (const Camera& c : cameras) {
+        const Intrinsics& k = c.intrinsics;
+        out.push_back((k.orthographic ? 1 : std::max((c.camera_from_world * object).z(), 0.0)) / std::sqrt(k.fx * k.fy));
+    }
+    return out.empty() ? 0 : median(out);
+}
+
+Vec3d middle_of(const openvdb::FloatGrid& surface) {
+    const openvdb::CoordBBox box = leaf_box(surface);
+    const openvdb::Vec3d middle = surface.indexToWorld(0.5 * (box.min().asVec3d() + box.max().asVec3d()));
+    return {middle[0], middle[1], middle[2]};
+}
+
+int default_stereo_scale(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras) {
+    const double pixel = pixel_on_object(cameras, middle_of(surface));
+    int scale = 1;
+    while (2 * scale <= kMostStereoScale && 2 * scale * pixel <= kStereoPixel_vox * surface.voxelSize()[0]) scale *= 2;
+    return scale;
 }
 
 size_t steps_of(const std::vector<StereoLevel>& levels) {

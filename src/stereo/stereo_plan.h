@@ -41,6 +41,15 @@ struct StereoLevel {
 std::vector<StereoLevel> stereo_levels(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, int scale,
                                        const StereoOptions& options);
 
+/// Of PatchMatch at a level, numbered as better_plane() counts them: the coarsest searches, finer ones make what it found more exact, each with half as many.
+struct StereoPasses {
+    int first, last;  ///< the one after
+};
+StereoPasses stereo_passes(size_t level, size_t levels, const StereoOptions& options);
+
+/// Of the views with a photograph that is to be used.
+std::vector<Camera> used_cameras(const std::vector<ColorInput>& inputs);
+
 /// Views that are matched, over all levels.
 size_t steps_of(const std::vector<StereoLevel>& levels);
 
@@ -64,6 +73,12 @@ void add_milliseconds(StereoResult& result, const std::string& step, double mill
 
 /// Where the surface lies, for rays.
 RenderFrame stereo_frame(const openvdb::FloatGrid& surface);
+
+/// Of its leaves' box.
+Vec3d middle_of(const openvdb::FloatGrid& surface);
+
+/// How much of an object there a pixel covers, world units; median of the views.
+double pixel_on_object(const std::vector<Camera>& cameras, const Vec3d& object);
 
 /// The largest extent of the surface's inside along an axis, world units.
 double longest_side(const openvdb::FloatGrid& surface);

@@ -115,8 +115,9 @@ struct StereoReference {
     int view, pairs;
     StereoPair pair[kMostStereoPairs];
     StereoImage other[kMostStereoPairs];
-    const HullSight* hull;     ///< of every pixel; front 0 also where the pixel is not of the object
-    const StereoBest* coarse;  ///< planes found at half the working size, to begin with; null: there are none
+    const HullSight* hull;       ///< of every pixel; front 0 also where the pixel is not of the object
+    const StereoBest* coarse;    ///< planes found at half the working size, to begin with; null: there are none
+    const float* coarse_likely;  ///< of these, 0: not to be trusted
     int coarse_width, coarse_height;
     float margin;  ///< the search begins so much before the hull, world units
 };
@@ -129,6 +130,11 @@ VDBCARVE_HD StereoRange range_of(const StereoReference& r, int at) {
     const float front = r.hull[at].front, back = r.hull[at].back;
     const float first = r.lens.orthographic ? front - r.margin : front / max_f(1.f - r.margin * front, 0.1f);
     return {min_f(first, back), max_f(first, back)};
+}
+
+/// The pixel of half the working size that a pixel lies in; -1: there is none.
+VDBCARVE_HD int coarse_pixel(const StereoReference& r, int x, int y) {
+    return r.coarse && x / 2 < r.coarse_width && y / 2 < r.coarse_height ? y / 2 * r.coarse_width + x / 2 : -1;
 }
 
 // ------------------------------------------------------------------------------------ likeness
@@ -301,8 +307,9 @@ VDBCARVE_HD Vec3 tilted(const Vec3& n, StereoDice& dice, float by) {
 }
 
 inline constexpr int kFirstTries = 6;
+inline constexpr float kGoodCost = 1.f;  ///< less than that a window and what it is compared with have something in common
 
-/// A pixel's first plane: the hull's own, or one behind it.
+/// A pixel's first plane: the one that half the working size found, the hull's own, or, where the former is no good, one behind the hull.
 VDBCARVE_HD StereoBest first_plane(const StereoReference& r, int x, int y) {
     const int at = y * r.image.width + x;
     StereoBest best{{0.f, 0.f, 0.f}, kNoCost};
@@ -311,12 +318,13 @@ VDBCARVE_HD StereoBest first_plane(const StereoReference& r, int x, int y) {
     const StereoWindow w = window_at(r, x, y);
     const StereoRange range = range_of(r, at);
     StereoDice dice = dice_of(r.view, at, 0);
-    if (r.coarse && x / 2 < r.coarse_width && y / 2 < r.coarse_height) {
-        const StereoBest& found = r.coarse[y / 2 * r.coarse_width + x / 2];
+    if (const int c = coarse_pixel(r, x, y); c >= 0) {
+        const StereoBest& found = r.coarse[c];
         const StereoPlane p = moved(found.plane, x % 2 ? 0.25f : -0.25f, y % 2 ? 0.25f : -0.25f);
         if (found.cost < kNoCost) try_plane(r, w, range, {p.s, 0.5f * p.su, 0.5f * p.sv}, u, v, best);
     }
-    for (int n = 0; n < kFirstTries; ++n) {
+    const int tries = best.cost < kGoodCost ? 1 : kFirstTries;
+    for (int n = 0; n < tries; ++n) {
         // Most surfaces are near the hull: squares of even numbers lie towards it.
         const float deep = 0.5f + 0.5f * thrown(dice);
         const float s = n == 0 ? r.hull[at].front : r.hull[at].front + deep * deep * (r.hull[at].back - r.hull[at].front);
@@ -332,8 +340,8 @@ VDBCARVE_HD StereoBest first_plane(const StereoReference& r, int x, int y) {
     return best;
 }
 
-/// One pass over a pixel: planes of pixels of the other colour of a chessboard, then changes at random, halved from pass to pass. `planes` are those of all
-/// pixels.
+/// One pass over a pixel: planes of pixels of the other colour of a chessboard, of each of four ways the one that costs least where it is (Xu and Tao 2019,
+/// ACMH), then changes at random, halved from pass to pass. `planes` are those of all pixels.
 VDBCARVE_HD StereoBest better_plane(const StereoReference& r, const StereoBest* planes, int x, int y, int pass) {
     const int width = r.image.width, at = y * width + x;
     StereoBest best = planes[at];
@@ -341,13 +349,18 @@ VDBCARVE_HD StereoBest better_plane(const StereoReference& r, const StereoBest* 
     const float u = static_cast<float>(x) + 0.5f, v = static_cast<float>(y) + 0.5f;
     const StereoWindow w = window_at(r, x, y);
     const StereoRange range = range_of(r, at);
-    for (int n = 0; n < 8; ++n) {
-        const int step = n & 4 ? 5 : 1, side = n & 1 ? step : -step;
-        const int i = n & 2 ? x : x + side, j = n & 2 ? y + side : y;
-        if (i < 0 || j < 0 || i >= width || j >= r.image.height || r.hull[j * width + i].front == 0.f) continue;
-        const StereoBest& theirs = planes[j * width + i];
-        if (theirs.cost >= kNoCost) continue;
-        try_plane(r, w, range, moved(theirs.plane, static_cast<float>(x - i), static_cast<float>(y - j)), u, v, best);
+    for (int way = 0; way < 4; ++way) {
+        int from = -1, du = 0, dv = 0;
+        float least = kNoCost;
+        for (int step = 1; step < 8; step += 2) {
+            const int side = way & 1 ? step : -step, i = way & 2 ? x : x + side, j = way & 2 ? y + side : y;
+            if (i < 0 || j < 0 || i >= width || j >= r.image.height || r.hull[j * width + i].front == 0.f || !(planes[j * width + i].cost < least)) continue;
+            from = j * width + i;
+            least = planes[from].cost;
+            du = x - i;
+            dv = y - j;
+        }
+        if (from >= 0) try_plane(r, w, range, moved(planes[from].plane, static_cast<float>(du), static_cast<float>(dv)), u, v, best);
     }
     StereoDice dice = dice_of(r.view, at, pass + 1);
     float reach = 1.f;
@@ -405,7 +418,9 @@ VDBCARVE_HD float likelihood(const StereoReference& r, const StereoBest& best, c
     if (r.hull[y * r.image.width + x].front == 0.f || !(best.cost < rule.most_cost)) return 0.f;
     const StereoWindow w = window_at(r, x, y);
     if (!(w.variance >= rule.least_variance)) return 0.f;
-    return has_rival(r, w, best, rule.least_margin, x, y) ? 0.f : 1.f - best.cost;
+    // Half the working size has looked for rivals already.
+    const int c = coarse_pixel(r, x, y);
+    return !(c >= 0 && r.coarse_likely[c] > 0.f) && has_rival(r, w, best, rule.least_margin, x, y) ? 0.f : 1.f - best.cost;
 }
 
 /// Depths of another view, to agree with.

@@ -20,20 +20,24 @@ constexpr const char *kFile = "surface.vdb", *kSheet = "sheet.png", *kMaps = "ma
 /// Bytes of a working pixel: grey, object, plane, cost, confidence, depths; of the coarser ones a third more.
 constexpr double kStereoPerPixel = 40, kStereoPerPixelBesideGpu = 14;
 
+/// The fair surface keeps silhouettes covered, and evens out noise: depths may say more near the hull.
+constexpr double kLedMargin_px = 0.6;
+
 double share_of(size_t part, size_t whole) { return whole ? static_cast<double>(part) / static_cast<double>(whole) : 0; }
 
 }  // namespace
 
 void Stereo::prepare(Run& run) {
     stereo_ = options.stereo.options;
-    if (!stereo_.scale) stereo_.scale = run.on_gpu() ? 1 : 2;
+    if (!stereo_.scale) stereo_.scale = default_stereo_scale(*surface.grid, used_cameras(shoot, masks));
+    if (makes_fair(options)) stereo_.hull_margin_px = kLedMargin_px;
     flat_ = photos_are_masks(shoot, masks);
     if (flat_) run.progress().warn("--stereo on: the images are the silhouettes themselves, which have no texture; the hull stands");
 }
 
 Key Stereo::key() const {
     Key key(kName);
-    key.of(surface.key).of(stereo_).of(options.color.leave_out);
+    key.of(surface.key).of(stereo_).of(stereo_.hull_margin_px).of(options.color.leave_out);
     add_photographs(key, shoot, masks);
     return key;
 }
@@ -47,9 +51,9 @@ void Stereo::check_memory(Run& run) const {
     const double room = run.memory_limit() - static_cast<double>(resident_memory_bytes()), bytes = bytes_at(stereo_.scale);
     if (bytes <= room) return;
     int smaller = 2 * stereo_.scale;
-    while (smaller < 16 && bytes_at(smaller) > room) smaller *= 2;
+    while (smaller < kMostStereoScale && bytes_at(smaller) > room) smaller *= 2;
     const std::string remedy =
-        smaller <= 16 && bytes_at(smaller) <= room ? text_of("--stereo-scale %d, fewer photographs", smaller) : "fewer photographs (--views)";
+        smaller <= kMostStereoScale && bytes_at(smaller) <= room ? text_of("--stereo-scale %d, fewer photographs", smaller) : "fewer photographs (--views)";
     throw InputError(
         text_of("--stereo on: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB of --memory-limit are left. Remedy: %s, or "
                 "a larger --memory-limit",
