@@ -20,7 +20,7 @@ if(NOT VDBCARVE_CUDA STREQUAL "OFF")
   endif()
 endif()
 if(VDBCARVE_HAS_CUDA)
-  add_library(vdbcarve_cuda OBJECT cuda/carve_cuda.cu cuda/color_cuda.cu cuda/dense_cuda.cu cuda/distance_cuda.cu cuda/fair_level_cuda.cu cuda/fair_motion_cuda.cu cuda/fair_pieces_cuda.cu cuda/fair_sight_cuda.cu cuda/filter_cuda.cu cuda/grid_cuda.cu cuda/level_set_cuda.cu cuda/mesh_cuda.cu cuda/render_cuda.cu cuda/stereo_cuda.cu)
+  add_library(vdbcarve_cuda OBJECT cuda/carve_cuda.cu cuda/color_cuda.cu cuda/dense_cuda.cu cuda/distance_cuda.cu cuda/fair_depths_cuda.cu cuda/fair_level_cuda.cu cuda/fair_motion_cuda.cu cuda/fair_pieces_cuda.cu cuda/fair_sight_cuda.cu cuda/filter_cuda.cu cuda/grid_cuda.cu cuda/level_set_cuda.cu cuda/mesh_cuda.cu cuda/render_cuda.cu cuda/stereo_cuda.cu)
   set_target_properties(vdbcarve_cuda PROPERTIES POSITION_INDEPENDENT_CODE ON CUDA_STANDARD 20)
   target_link_libraries(vdbcarve_cuda PRIVATE vdbcarve_kernel)
   target_include_directories(vdbcarve_cuda PRIVATE ${PROJECT_BINARY_DIR}/modules/base/shared)  # for error.h

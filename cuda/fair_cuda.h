@@ -65,6 +65,8 @@ class FairStage {
     FairLevel& level() { return level_; }
     /// Null: the level at hand is the coarsest.
     const FairLevel* coarse() const { return coarsest_ ? nullptr : &coarse_; }
+    /// Number 0 is the finest.
+    const FairLevel& hull(size_t number) const { return hulls_[number]; }
     const FairLevel& coarsest_hull() const { return hulls_[depth_ - 1]; }
     size_t bytes() const;
 

@@ -12,6 +12,7 @@ namespace {
 using namespace kernel;
 
 constexpr unsigned kThreads = 128;
+constexpr unsigned kLookThreads = 64;  ///< lines are of very different lengths
 /// Blocks of kernels whose work is counted on the device.
 constexpr unsigned kMostBlocks = 2048;
 
@@ -60,10 +61,21 @@ __device__ void look_at(FairLine* at, const FairField& f, const FairField& hull,
     if (!(open.place.value < grows_from)) atomicAdd(&counts->alone, 1u);
 }
 
-__global__ void __launch_bounds__(kThreads)
-    look_first(FairLine* lines, uint32_t count, FairField f, FairField hull, FairField coarser, float grows_from, FairOpenLine* list, FairCounts* counts) {
-    const uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
-    if (n < count) look_at(lines + n, f, hull, coarser, grows_from, list, counts);
+/// Several lists of lines, in one launch: a launch takes as long as its longest line.
+struct LineRuns {
+    FairLine* lines[2 * kFairShares];
+    uint32_t last[2 * kFairShares];  ///< number, of all, after a list's last
+    int count;
+};
+
+__global__ void __launch_bounds__(kLookThreads)
+    look_first(LineRuns runs, FairField f, FairField hull, FairField coarser, float grows_from, FairOpenLine* list, FairCounts* counts) {
+    uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
+    if (n >= runs.last[runs.count - 1]) return;
+    int run = 0;
+    while (n >= runs.last[run]) ++run;
+    if (run > 0) n -= runs.last[run - 1];
+    look_at(runs.lines[run] + n, f, hull, coarser, grows_from, list, counts);
 }
 
 /// Those that the round before left open, unless nothing has changed since; `anyway`: the host knows better.
@@ -327,13 +339,17 @@ void FairSight::look(int round, const Repair& how, const FairStage& stage, const
         VDBCARVE_LAUNCHED();
         return;
     }
-    for (const Lines* lines : {&rim_, &near_})
+    LineRuns runs{};
+    uint32_t all = 0;
+    for (Lines* lines : {&rim_, &near_})
         for (int n = 0; n < kFairShares; ++n) {
             if (!how.takes[n] || lines->counts[n] == 0) continue;
-            look_first<<<blocks_for(lines->counts[n], kThreads), kThreads, 0, s>>>(lines->items.data() + static_cast<size_t>(n) * lines->room, lines->counts[n],
-                                                                                   f, hull, coarser, how.grows_from, list, counts);
-            VDBCARVE_LAUNCHED();
+            all += lines->counts[n];
+            runs.lines[runs.count] = lines->items.data() + static_cast<size_t>(n) * lines->room;
+            runs.last[runs.count++] = all;
         }
+    look_first<<<blocks_for(all, kLookThreads), kLookThreads, 0, s>>>(runs, f, hull, coarser, how.grows_from, list, counts);
+    VDBCARVE_LAUNCHED();
 }
 
 void FairSight::find_stale_leasts(FairCounts* counts, FairStage& stage, const Stream& stream) {

@@ -56,7 +56,8 @@ class Device {
     void set_surface(const openvdb::FloatGrid& surface);
 
     /// The fair surface inside the surface, which must be `hull` and stays. Masks and fields on the device are replaced by its own. Errors like fair().
-    FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress);
+    FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress,
+                    const FairEvidence* evidence = nullptr);
 
     /// Colours the surface, which must be `surface`. Masks and fields on the device are replaced by colouring's own. Errors like color().
     ColorResult color(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos, const ColorOptions& options,
@@ -109,7 +110,8 @@ std::vector<DistanceField> distance_fields(Device& device, const std::vector<Mas
 CarveResult carve(Device& device, const std::vector<CarveInput>& inputs, const CarveOptions& options, Progress& progress);
 openvdb::FloatGrid::Ptr level_set(Device& device, const openvdb::FloatGrid& hull, const LevelSetOptions& options, Progress& progress);
 openvdb::FloatGrid::Ptr level_set_of_occupancy(Device& device, const openvdb::MaskGrid& occupancy, const LevelSetOptions& options, Progress& progress);
-FairResult fair(Device& device, const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress);
+FairResult fair(Device& device, const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress,
+                const FairEvidence* evidence = nullptr);
 ColorResult color_in_batches(Device& device, const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos,
                              const ColorOptions& options, Progress& progress);
 StereoResult stereo(Device& device, const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos,

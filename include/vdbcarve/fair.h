@@ -26,6 +26,12 @@ struct FairView {
     MaskView mask;
 };
 
+/// What depths say: the level set that they carve from the hull, on its lattice, and for its band how sure they are, 0..1 (StereoResult). Borrowed.
+struct FairEvidence {
+    const openvdb::FloatGrid& carved;
+    const openvdb::FloatGrid& confidence;
+};
+
 struct FairResult {
     openvdb::FloatGrid::Ptr surface;    ///< name "surface", a level set of half-width 3 voxels
     double hull_volume = 0;             ///< world units cubed
@@ -42,6 +48,12 @@ struct FairResult {
 /// to fine: the motion happens where the longest side has about 128 voxels, finer levels add detail. Same bits for any number of threads. Cost: about (pixels
 /// of the silhouettes) + 12 passes over the finest level's band. Memory: 5 values for every voxel of the leaves near both surfaces. Throws UsageError for a
 /// fairness outside 0..0.5 and InputError for a hull without surface.
-FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress);
+/// `evidence`, or null: where depths are sure the surface follows them, within the hull and over every silhouette; where they are silent it is as without.
+FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress,
+                const FairEvidence* evidence = nullptr);
+
+/// `surface` as something changed it after fair(), such as a filter: put back inside the hull, and over every silhouette again where the hull allows it. Half
+/// widths of 3 voxels or more; the result's is 3. `level_seconds` and `pieces_dropped` are empty. Cost: pixels of the silhouettes. Errors like fair().
+FairResult cover_again(const openvdb::FloatGrid& hull, const openvdb::FloatGrid& surface, const std::vector<FairView>& views, Progress& progress);
 
 }  // namespace vdbcarve

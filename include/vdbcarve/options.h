@@ -123,7 +123,7 @@ void visit(O& o, V& v) {
         Option{
             "surface",
             "fair (default): the smoothest surface that covers every silhouette, which may take a little of the object where no silhouette shows it; hull: the "
-            "largest that the silhouettes allow, with the slabs and ridges that they leave. With --stereo on and --occupancy always hull",
+            "largest that the silhouettes allow, with the slabs and ridges that they leave. With --occupancy always hull",
             "Surface", in::kMeshing},
         o.fair, Words(kSurfaceWords));
     v.part(o.options);

@@ -40,8 +40,8 @@ struct ReconstructOptions {
     ResultOptions result;
     RunOptions run;
 };
-/// Depths are found inside the hull, and occupancy has no surface to smooth.
-inline bool makes_fair(const ReconstructOptions& o) { return o.surface.fair && !o.stereo.on && !o.carve.occupancy; }
+/// Occupancy has no surface to smooth.
+inline bool makes_fair(const ReconstructOptions& o) { return o.surface.fair && !o.carve.occupancy; }
 
 /// --method says how cameras are found, and that they are to be.
 struct MethodForm {

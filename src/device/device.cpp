@@ -43,8 +43,8 @@ void Device::clear_times() { parts_->times.clear(); }
 size_t Device::bytes() const {
     const Parts& p = *parts_;
     return p.distance.bytes() + p.uploaded_fields.bytes() + p.carve.bytes() + p.hull.grid.bytes() + p.surface.grid.bytes() + p.fused.grid.bytes() +
-           p.level_set.bytes() + p.filter.bytes() + p.fair.bytes() + p.fair_sight.bytes() + p.mesh.bytes() + p.color.bytes() + p.render.bytes() +
-           p.stereo.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
+           p.level_set.bytes() + p.filter.bytes() + p.fair.bytes() + p.fair_sight.bytes() + p.fair_depths.bytes() + p.mesh.bytes() + p.color.bytes() +
+           p.render.bytes() + p.stereo.bytes() + p.uploaded_values.bytes() + p.photos.bytes();
 }
 size_t Device::free_bytes() const {
     parts_->use();

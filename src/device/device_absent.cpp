@@ -30,7 +30,7 @@ void Device::set_hull(const openvdb::FloatGrid&) { absent(); }
 void Device::level_set(const LevelSetOptions&) { absent(); }
 openvdb::FloatGrid::Ptr Device::surface() const { absent(); }
 void Device::set_surface(const openvdb::FloatGrid&) { absent(); }
-FairResult Device::fair(const openvdb::FloatGrid&, const std::vector<FairView>&, const FairOptions&, Progress&) { absent(); }
+FairResult Device::fair(const openvdb::FloatGrid&, const std::vector<FairView>&, const FairOptions&, Progress&, const FairEvidence*) { absent(); }
 ColorResult Device::color(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const ColorOptions&, Progress&) { absent(); }
 StereoResult Device::stereo(const openvdb::FloatGrid&, const std::vector<ColorInput>&, const PhotoSource&, const StereoOptions&, Progress&) { absent(); }
 FilterResult Device::filter(const FilterOptions&, Progress&) { absent(); }

@@ -6,6 +6,7 @@
 #include <functional>
 
 #include "device/device_parts.h"
+#include "fair/evidence.h"
 #include "fair/fair_engine.h"
 #include "fair/lone_lines.h"
 
@@ -21,22 +22,29 @@ class DeviceEngine final : public FairEngine {
     /// Masks' distances, on the device.
     using Fields = std::function<std::vector<kernel::FairMask>(const SightPlan&)>;
 
-    DeviceEngine(cuda::FairStage& stage, cuda::FairSight& sight, const openvdb::FloatGrid& hull, Fields fields, Fetcher& fetcher, const cuda::Stream& stream,
-                 cuda::StageTimes& times)
-        : stage_(stage), sight_(sight), hull_(hull), fields_(std::move(fields)), fetcher_(fetcher), stream_(stream), times_(times) {}
+    DeviceEngine(cuda::FairStage& stage, cuda::FairSight& sight, cuda::FairDepthStage& depths, const openvdb::FloatGrid& hull, Fields fields, Fetcher& fetcher,
+                 const cuda::Stream& stream, cuda::StageTimes& times)
+        : stage_(stage), sight_(sight), depths_(depths), hull_(hull), fields_(std::move(fields)), fetcher_(fetcher), stream_(stream), times_(times) {}
 
     void take(const cuda::Grid& grid, const cuda::Topology& topology) {
         if (!stage_.take(grid, topology, static_cast<float>(hull_.voxelSize()[0]), stream_, times_)) throw InputError("fair: the hull has no surface");
         at_hand(stage_.coarsest_hull(), 0);
     }
 
+    /// Of what depths carved.
+    void take_depths(const cuda::Grid& carved, const cuda::Topology& topology, const openvdb::FloatGrid& confidence);
+
     const LeafLattice& lattice() const override { return lattice_; }
     double hull_volume_vox() override { return stage_.hull_volume_vox(stream_); }
     void coarsen(bool whole) override {
         stage_.coarsen(whole, stream_, times_);
+        if (led_) depths_.coarsen(stream_, times_);
         at_hand(stage_.coarsest_hull(), lattice_.shift + 1);
     }
-    void begin() override { stage_.begin(stream_, times_); }
+    void begin() override {
+        stage_.begin(stream_, times_);
+        if (led_) depths_.begin(static_cast<size_t>(lattice_.shift), stage_.level(), stream_, times_);
+    }
     void refine() override {
         stage_.refine(stream_, times_);
         at_hand(stage_.level(), lattice_.shift - 1);
@@ -60,6 +68,8 @@ class DeviceEngine final : public FairEngine {
     size_t inside_samples() const override { return sight_.inside_samples(stream_); }
 
     void move(const kernel::FairBlur& blur, bool stiff) override { stage_.move(blur, stiff, stream_, times_); }
+    bool led() const override { return led_; }
+    void follow(float share) override { depths_.follow(static_cast<size_t>(lattice_.shift), stage_.level(), share, stream_, times_); }
     size_t drop_pieces(double share) override { return stage_.drop_pieces(share, stream_, times_); }
     void make_distances() override { stage_.make_distances(stream_, times_); }
     double volume_vox() override { return stage_.volume_vox(stream_); }
@@ -67,21 +77,29 @@ class DeviceEngine final : public FairEngine {
 
   private:
     void at_hand(const cuda::FairLevel& level, int shift) {
-        lattice_.shift = shift;
-        lattice_.lo = level.lo;
-        lattice_.size = level.size;
+        lattice_ = lattice_of(level, shift);
         leaf_at_.clear();
+    }
+    static LeafLattice lattice_of(const cuda::FairLevel& level, int shift) {
+        LeafLattice out;
+        out.shift = shift;
+        out.lo = level.lo;
+        out.size = level.size;
+        return out;
     }
     /// The part of the level at hand that bridges from those lines can reach, and its leaves' numbers there.
     Level around(const std::vector<cuda::FairLoneLine>& lines, std::vector<uint32_t>& leaves);
     bool reach(const std::vector<cuda::FairLoneLine>& lines);
-    Coord origin_of(int32_t place) const {
-        const int z = place % lattice_.size[2], row = place / lattice_.size[2];
-        return {8 * (row / lattice_.size[1] + lattice_.lo[0]), 8 * (row % lattice_.size[1] + lattice_.lo[1]), 8 * (z + lattice_.lo[2])};
+    static Coord origin_of(const LeafLattice& l, int32_t place) {
+        const int z = place % l.size[2], row = place / l.size[2];
+        return {8 * (row / l.size[1] + l.lo[0]), 8 * (row % l.size[1] + l.lo[1]), 8 * (z + l.lo[2])};
     }
+    Coord origin_of(int32_t place) const { return origin_of(lattice_, place); }
 
     cuda::FairStage& stage_;
     cuda::FairSight& sight_;
+    cuda::FairDepthStage& depths_;
+    bool led_ = false;
     const openvdb::FloatGrid& hull_;
     Fields fields_;
     Fetcher& fetcher_;
@@ -91,6 +109,17 @@ class DeviceEngine final : public FairEngine {
     bool exact_ = true;
     std::vector<int32_t> leaf_at_;  ///< of the level at hand, once it was asked for
 };
+
+void DeviceEngine::take_depths(const cuda::Grid& carved, const cuda::Topology& topology, const openvdb::FloatGrid& confidence) {
+    if (!depths_.take(carved, topology, static_cast<float>(hull_.voxelSize()[0]), stream_, times_)) throw InputError("fair: depths leave no surface");
+    const LeafLattice lattice = lattice_of(depths_.finest(), 0);
+    std::vector<int32_t> places(depths_.finest().leaves);
+    fetcher_.fetch_to(places.data(), depths_.finest().place_of.data(), places.size() * sizeof(int32_t), stream_);
+    std::vector<Coord> origin;
+    for (const int32_t place : places) origin.push_back(origin_of(lattice, place));
+    depths_.set_weights(confidence_of(confidence, origin).data(), stream_);
+    led_ = true;
+}
 
 Level DeviceEngine::around(const std::vector<cuda::FairLoneLine>& lines, std::vector<uint32_t>& leaves) {
     constexpr int kReach = kLongestBridge_vox + 2;
@@ -167,11 +196,11 @@ openvdb::FloatGrid::Ptr DeviceEngine::surface() {
 
 }  // namespace
 
-FairResult Device::fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress) {
+FairResult Device::fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress,
+                        const FairEvidence* evidence) {
     Parts& p = *parts_;
     p.use();
     fairing::check_fair(options);
-    const Parts::Volume& volume = p.need(p.surface, "level set");
     bool uploaded = false;
     const auto fields = [&](const SightPlan& plan) {
         if (!uploaded) upload(plan.masks);
@@ -181,8 +210,14 @@ FairResult Device::fair(const openvdb::FloatGrid& hull, const std::vector<FairVi
         for (size_t v = 0; v < p.headers.size(); ++v) out.push_back(mask_of(p.headers[v], p.silhouettes[v].samples, p.ignored[v].samples));
         return out;
     };
-    DeviceEngine engine(p.fair, p.fair_sight, hull, fields, p.fetcher, p.stream, p.times);
+    DeviceEngine engine(p.fair, p.fair_sight, p.fair_depths, hull, fields, p.fetcher, p.stream, p.times);
+    const Parts::Volume& volume = p.need(p.surface, "level set");
     engine.take(volume.grid, *volume.topology);
+    if (evidence) {
+        Parts::Volume& carved = p.fused;  // what depths carved on the device lay there
+        p.upload(carved, evidence->carved);
+        engine.take_depths(carved.grid, *carved.topology, evidence->confidence);
+    }
     return fair_by(engine, hull, views, options, progress);
 }
 

@@ -11,6 +11,7 @@
 #include "cuda/color_cuda.h"
 #include "cuda/distance_cuda.h"
 #include "cuda/fair_cuda.h"
+#include "cuda/fair_depths_cuda.h"
 #include "cuda/fair_sight_cuda.h"
 #include "cuda/filter_cuda.h"
 #include "cuda/level_set_cuda.h"
@@ -111,6 +112,7 @@ struct Device::Parts {
     cuda::FilterStage filter;
     cuda::FairStage fair;
     cuda::FairSight fair_sight;
+    cuda::FairDepthStage fair_depths;
     cuda::MeshStage mesh;
     cuda::ColorStage color;
     cuda::RenderStage render;

@@ -50,9 +50,10 @@ openvdb::FloatGrid::Ptr level_set_of_occupancy(Device& device, const openvdb::Ma
     return level_set(device, *halves_of_occupancy(occupancy, options.half_width_vox), options, progress);
 }
 
-FairResult fair(Device& device, const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress) {
+FairResult fair(Device& device, const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress,
+                const FairEvidence* evidence) {
     device.set_surface(hull);
-    return device.fair(hull, views, options, progress);
+    return device.fair(hull, views, options, progress, evidence);
 }
 
 ColorResult color_in_batches(Device& device, const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const PhotoSource& photos,

@@ -3,12 +3,26 @@
 
 namespace vdbcarve::fairing {
 
-CpuEngine::CpuEngine(const openvdb::FloatGrid& hull) : hull_(hull), hulls_{level_of(hull)} { find_least(hulls_[0], hulls_[0].hull); }
+CpuEngine::CpuEngine(const openvdb::FloatGrid& hull, const FairEvidence* evidence) : hull_(hull), hulls_{level_of(hull)} {
+    find_least(hulls_[0], hulls_[0].hull);
+    if (evidence) evidence_.emplace(*evidence);
+}
+
+void CpuEngine::coarsen(bool whole) {
+    hulls_.push_back(coarser(hulls_.back(), whole));
+    if (evidence_) evidence_->coarsen();
+}
 
 void CpuEngine::begin() {
     level_ = std::move(hulls_.back());
     hulls_.pop_back();
     level_.field = level_.hull;
+    if (evidence_) evidence_->begin(level_);
+}
+
+void CpuEngine::begin(const openvdb::FloatGrid& surface) {
+    level_ = with_field(hulls_.back(), surface);
+    hulls_.pop_back();
 }
 
 void CpuEngine::refine() {

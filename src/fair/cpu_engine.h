@@ -3,8 +3,10 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <vector>
 
+#include "fair/evidence.h"
 #include "fair/fair_engine.h"
 #include "fair/fair_level.h"
 #include "fair/sight_lines.h"
@@ -13,12 +15,15 @@ namespace vdbcarve::fairing {
 
 class CpuEngine final : public FairEngine {
   public:
-    /// `hull` is borrowed.
-    explicit CpuEngine(const openvdb::FloatGrid& hull);
+    /// `hull` is borrowed, and `evidence`, which may be null.
+    CpuEngine(const openvdb::FloatGrid& hull, const FairEvidence* evidence);
+
+    /// Like begin(), on the finest level, with a field.
+    void begin(const openvdb::FloatGrid& surface);
 
     const LeafLattice& lattice() const override { return hulls_.empty() || level_.leaves() ? level_ : hulls_.back(); }
     double hull_volume_vox() override { return hulls_.front().volume_vox(hulls_.front().hull); }
-    void coarsen(bool whole) override { hulls_.push_back(coarser(hulls_.back(), whole)); }
+    void coarsen(bool whole) override;
     void begin() override;
     void refine() override;
     void aim(const SightPlan& plan, Progress& progress) override;
@@ -27,6 +32,8 @@ class CpuEngine final : public FairEngine {
     size_t open() const override { return lines_->open(); }
     size_t inside_samples() const override { return lines_->inside_samples(); }
     void move(const kernel::FairBlur& blur, bool stiff) override { fairing::move(level_, blur, stiff); }
+    bool led() const override { return evidence_.has_value(); }
+    void follow(float share) override { evidence_->follow(level_, share); }
     size_t drop_pieces(double share) override { return fairing::drop_pieces(level_, share); }
     void make_distances() override;
     double volume_vox() override { return level_.volume_vox(level_.field); }
@@ -37,6 +44,7 @@ class CpuEngine final : public FairEngine {
     std::vector<Level> hulls_;  ///< finer than the level at hand, once there is one
     Level level_, coarse_;
     std::unique_ptr<SightLines> lines_;
+    std::optional<Evidence> evidence_;
 };
 
 }  // namespace vdbcarve::fairing

@@ -24,10 +24,13 @@ struct Motion {
     double width_vox;
     bool stiff;
     float along_vox;
+    float follow;  ///< of the way to the depths, a step
 };
 /// Area shrinks; then ridges where lines pulled go; then what repairs left is spread.
-constexpr Motion kShrink{1.5, false, 2.45f}, kFair{1.5, true, 2.45f}, kSpread{1.2, true, 3.f};
-constexpr int kFinerSteps = 3, kFairSteps = 12, kSpreadSteps = 3;
+constexpr Motion kShrink{1.5, false, 2.45f, 1.f}, kFair{1.5, true, 2.45f, 1.f}, kSpread{1.2, true, 3.f, 0.f};
+/// Where depths lead, noise of theirs is spread: wider, and after the last step they are not asked.
+constexpr Motion kSpreadLed{1.8, true, 3.f, 0.7f};
+constexpr int kFinerSteps = 3, kFairSteps = 12, kSpreadSteps = 3, kSpreadStepsLed = 5;
 constexpr int kRoundsBetween = 2, kRoundsAtTheEnd = 100;
 /// All lines of the inside are asked every so many steps; between, those that were not this deep.
 constexpr int kAskAll = 20;
@@ -46,11 +49,13 @@ kernel::FairBlur blur_of(double width_vox) {
     return out;
 }
 
-void steps(FairEngine& engine, int count, const Motion& motion, Progress& progress) {
+/// `ends`: the level, so that what is left is smooth.
+void steps(FairEngine& engine, int count, const Motion& motion, bool ends, Progress& progress) {
     const kernel::FairBlur blur = blur_of(motion.width_vox);
     for (int n = 1; n <= count; ++n) {
         progress.check();
         engine.move(blur, motion.stiff);
+        if (engine.led() && (n < count || !ends)) engine.follow(motion.follow);
         if (n % kAskAll == 0) engine.find_near(kSafe_vox, false);
         engine.repair({kRoundsBetween, motion.along_vox, false, static_cast<size_t>(n)});
         progress.step();
@@ -72,14 +77,27 @@ size_t tidy(FairEngine& engine) {
 
 }  // namespace
 
+namespace {
+
+double voxel_volume(const openvdb::FloatGrid& grid) { return std::pow(grid.voxelSize()[0], 3); }
+
+/// What is left in the end.
+void take(FairEngine& engine, const openvdb::FloatGrid& hull, FairResult& out) {
+    out.uncovered = engine.open();
+    out.lines_of_sight = engine.inside_samples();
+    out.surface = engine.surface();
+    out.volume = voxel_volume(hull) * engine.volume_vox();
+}
+
+}  // namespace
+
 void check_fair(const FairOptions& options) {
     if (!(options.fairness >= 0 && options.fairness <= 0.5)) throw UsageError("--fairness: " + std::to_string(options.fairness) + ", must be within 0..0.5");
 }
 
 FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress) {
     FairResult out;
-    const double voxel_volume = std::pow(hull.voxelSize()[0], 3);
-    out.hull_volume = voxel_volume * engine.hull_volume_vox();
+    out.hull_volume = voxel_volume(hull) * engine.hull_volume_vox();
     if (options.fairness == 0) {
         out.surface = hull.deepCopy();
         out.volume = out.hull_volume;
@@ -88,9 +106,12 @@ FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std
     const std::array<int, 3> size = engine.lattice().size;
     double longest = 8.0 * *std::max_element(size.begin(), size.end()) - 16;
     size_t levels = 1;
-    for (; longest > std::sqrt(2.0) * kCoarsest_vox; longest /= 2, ++levels) engine.coarsen(longest / 2 <= std::sqrt(2.0) * kCoarsest_vox);
+    // Depths carve deep, and only the coarsest level has values all over the inside when it was made from a finer one.
+    for (; longest > std::sqrt(2.0) * kCoarsest_vox || (levels == 1 && engine.led()); longest /= 2, ++levels)
+        engine.coarsen(longest / 2 <= std::sqrt(2.0) * kCoarsest_vox);
+    const int spread_steps = engine.led() ? kSpreadStepsLed : kSpreadSteps;
     const auto first_steps = static_cast<int>(std::lround(std::pow(options.fairness * longest / kShrink.width_vox, 2)));
-    progress.begin("fair", static_cast<size_t>(first_steps) + kFairSteps + (levels - 1) * kFinerSteps + levels * (kSpreadSteps + 1));
+    progress.begin("fair", static_cast<size_t>(first_steps) + kFairSteps + (levels - 1) * kFinerSteps + levels * static_cast<size_t>(spread_steps + 1));
 
     engine.begin();
     for (size_t at = levels; at-- > 0;) {
@@ -99,34 +120,43 @@ FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std
         SightPlan plan = plan_sight(engine.lattice(), hull.transform(), views, 0, at == 0);
         engine.aim(plan, progress);
         engine.find_near(kSafe_vox, false);
-        steps(engine, is_first ? first_steps : kFinerSteps, kShrink, progress);
-        if (is_first) steps(engine, kFairSteps, kFair, progress);
-        steps(engine, kSpreadSteps, kSpread, progress);
+        steps(engine, is_first ? first_steps : kFinerSteps, kShrink, false, progress);
+        if (is_first) steps(engine, kFairSteps, kFair, false, progress);
+        steps(engine, spread_steps, engine.led() ? kSpreadLed : kSpread, true, progress);
         out.pieces_dropped = tidy(engine);
         progress.step();
         if (at > 0) {
             engine.refine();
-        } else {
-            if (plan.scale > 1) {  // in the end every pixel is asked
-                plan = plan_sight(engine.lattice(), hull.transform(), views, 1, true);
-                engine.aim(plan, progress);
-                repair_all(engine);
-            }
-            out.uncovered = engine.open();
-            out.lines_of_sight = engine.inside_samples();
+        } else if (plan.scale > 1) {  // in the end every pixel is asked
+            plan = plan_sight(engine.lattice(), hull.transform(), views, 1, true);
+            engine.aim(plan, progress);
+            repair_all(engine);
         }
+        if (at == 0) take(engine, hull, out);
         out.level_seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
     }
-    out.surface = engine.surface();
-    out.volume = voxel_volume * engine.volume_vox();
     return out;
 }
 
 }  // namespace fairing
 
-FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress) {
+FairResult cover_again(const openvdb::FloatGrid& hull, const openvdb::FloatGrid& surface, const std::vector<FairView>& views, Progress& progress) {
+    using namespace fairing;
+    CpuEngine engine(hull, nullptr);
+    FairResult out;
+    out.hull_volume = voxel_volume(hull) * engine.hull_volume_vox();
+    engine.begin(surface);
+    const SightPlan plan = plan_sight(engine.lattice(), hull.transform(), views, 1, true);
+    engine.aim(plan, progress);
+    repair_all(engine);
+    take(engine, hull, out);
+    return out;
+}
+
+FairResult fair(const openvdb::FloatGrid& hull, const std::vector<FairView>& views, const FairOptions& options, Progress& progress,
+                const FairEvidence* evidence) {
     fairing::check_fair(options);
-    fairing::CpuEngine engine(hull);
+    fairing::CpuEngine engine(hull, evidence);
     return fairing::fair_by(engine, hull, views, options, progress);
 }
 

@@ -64,6 +64,9 @@ Level coarser(const Level& fine, bool whole);
 /// hull shows beyond the coarser one.
 Level carried_over(const Level& fine, const Level& coarse);
 
+/// `hull` has a hull alone. The result has the leaves that it or the surface needs, and the field is the surface, within the hull.
+Level with_field(const Level& hull, const openvdb::FloatGrid& surface);
+
 /// FairEngine::move().
 void move(Level& level, const kernel::FairBlur& blur, bool stiff);
 /// Updates Values::least of every leaf.

@@ -15,7 +15,7 @@ void warn_of_idle_options(const ReconstructOptions& options, Progress& progress)
         progress.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on");
     if (!makes_fair(options) && options.run.last_stage == LastStage::Export &&
         (options.surface.options.fairness != FairOptions().fairness || options.surface.keep_hull))
-        progress.warn("--fairness and --keep-hull do nothing with --surface hull, --stereo on or --occupancy: the surface is the hull's");
+        progress.warn("--fairness and --keep-hull do nothing with --surface hull or --occupancy");
 }
 
 std::string ask_check(const ReconstructOptions& options, const Shoot& shoot) {

@@ -66,10 +66,11 @@ Reconstruction reconstruct(const ReconstructOptions& o, Progress& progress) {
         Hull hull = run(std::move(carve));
         if (last == LastStage::Carve) return publish(run, shoot, masks, kept, hull);
         Surface surface = run(LevelSet{o, shoot, masks, hull});
-        if (makes_fair(o)) surface = run(Fair{o, shoot, masks, hull.grid, std::move(surface)});
+        const openvdb::FloatGrid::Ptr level_set = surface.grid;
         if (o.stereo.on) surface = run(Stereo{o, shoot, masks, hull.grid, std::move(surface)});
+        if (makes_fair(o)) surface = run(Fair{o, shoot, masks, hull.grid, level_set, std::move(surface)});
         const Colors colors = o.color.options.mode == ColorMode::None ? Colors() : run(Color{o, shoot, masks, hull.grid, surface});
-        surface = run(Filter{o, shoot, masks, hull.grid, std::move(surface)});
+        surface = run(Filter{o, shoot, masks, hull.grid, level_set, std::move(surface)});
         MeshMade mesh = run(ExtractMesh{o, shoot, masks, surface, colors});
         mesh = run(Smooth{o, surface, std::move(mesh)});
         return publish(run, {shoot, masks, kept, hull, surface, colors, mesh});

@@ -5,6 +5,7 @@
 //   vdbcarve_device_bench scene FOLDER GRID…      a packed scene, device only
 //   vdbcarve_device_bench hull FOLDER N FILE      carves a packed scene at resolution N on the device and writes the hull as .vdb
 //   vdbcarve_device_bench color FOLDER GRID       colours a packed scene with photographs, step by step
+//   vdbcarve_device_bench fair FOLDER GRID        the fair surface of a packed scene, step by step
 //   vdbcarve_device_bench render FOLDER GRID      pictures of a packed scene; and, at 128, 256 and 512, carving and looking at it again and again
 //   vdbcarve_device_bench add FOLDER N            views of a packed scene added one after another at resolution N, on the CPU and, where there is one, on the
 //   device vdbcarve_device_bench ceilings                what the device can do at most vdbcarve_device_bench once GRID               one run of all stages,
@@ -17,12 +18,15 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <utility>
 
 #include "device_ceilings.h"
 #include "support/packed_scene.h"
 #include "vdbcarve/app/bench.h"
 #include "vdbcarve/device.h"
 #include "vdbcarve/export.h"
+#include "vdbcarve/fair.h"
+#include "vdbcarve/slack.h"
 
 namespace {
 
@@ -272,6 +276,33 @@ void bench_filter(const test::PackedScene& scene, const std::array<int, 3>& grid
     }
 }
 
+/// Medians of five runs, the first thrown away.
+void bench_fair(const test::PackedScene& scene, const std::array<int, 3>& grid, Progress& progress) {
+    Device device;
+    const auto hull = make_surface(device, scene, grid, progress);
+    std::vector<FairView> views;
+    for (size_t v = 0; v < scene.cameras.size(); ++v) views.push_back({scene.cameras[v], scene.mask_views()[v]});
+    std::map<std::string, std::vector<double>> steps;
+    for (int run = 0; run < 6; ++run) {
+        device.clear_times();
+        auto since = [start = std::chrono::steady_clock::now()]() mutable {
+            const auto now = std::chrono::steady_clock::now();
+            return std::chrono::duration<double, std::milli>(now - std::exchange(start, now)).count();
+        };
+        const FairResult made = device.fair(*hull, views, {}, progress);
+        const double wall = since();
+        slack(*hull, *made.surface);
+        const double rest = since();
+        if (run == 0) continue;
+        for (const auto& [name, ms] : device.milliseconds()) steps[name].push_back(ms);
+        for (size_t l = 0; l < made.level_seconds.size(); ++l) steps["wall, level " + std::to_string(l)].push_back(1e3 * made.level_seconds[l]);
+        steps["wall, fair"].push_back(wall);
+        steps["wall, slack"].push_back(rest);
+    }
+    std::printf("%u leaves\n", hull->tree().leafCount());
+    print_medians(steps);
+}
+
 int run(const std::vector<std::string>& words) {
     Progress progress;
     progress.on_note = [](const std::string& note) { std::cerr << note << "\n"; };
@@ -334,6 +365,8 @@ int run(const std::vector<std::string>& words) {
         bench_color(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "filter" && words.size() == 3) {
         bench_filter(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
+    } else if (what == "fair" && words.size() == 3) {
+        bench_fair(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "render" && words.size() == 3) {
         bench_render(test::read_packed_scene(words[1]), grid_of(words[2]), progress);
     } else if (what == "ceilings") {
@@ -345,7 +378,8 @@ int run(const std::vector<std::string>& words) {
         o.dense = false;
         std::cout << bench_table(run_bench(o, progress));
     } else {
-        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | filter FOLDER GRID | render FOLDER GRID | "
+        std::cerr << "usage: paper FILE.svg | sizes | scene FOLDER GRID… | hull FOLDER N FILE | color FOLDER GRID | filter FOLDER GRID | fair FOLDER GRID | "
+                     "render FOLDER GRID | "
                      "add FOLDER N | ceilings | once GRID\n";
         return 2;
     }

@@ -4,6 +4,7 @@
 #include <functional>
 
 #include "device/gpu_fixture.h"
+#include "support/depth_scene.h"
 #include "support/same_grid.h"
 #include "support/scenes.h"
 #include "vdbcarve/device.h"
@@ -103,6 +104,20 @@ TEST_F(GpuFair, SurfacesEqualTheCpus) {
     }
     EXPECT_GT(dropped, 0u);
     EXPECT_GT(device.milliseconds("fair: repair"), 0);
+}
+
+TEST_F(GpuFair, SurfacesThatDepthsLeadEqualTheCpus) {
+    Device device;
+    for (const auto& [object, resolution] : {std::pair{"cup", 90}, {"ellipsoids", 160}, {"cup", 200}}) {
+        SCOPED_TRACE(object);
+        const Scene s = scene_of({object, small_spec(object, 8, 240, 180), resolution});
+        const DepthScene depths = depth_scene(*s.hull, s.shoot.scene.truth, 0.5, 0);
+        const FairEvidence evidence = depths.evidence();
+        const FairResult cpu = fair(*s.hull, s.views, {}, quiet_, &evidence);
+        EXPECT_NE(cpu.volume, fair(*s.hull, s.views, {}, quiet_).volume);
+        expect_equal(cpu, fair(device, *s.hull, s.views, {}, quiet_, &evidence));
+        expect_equal(cpu, device.fair(*s.hull, s.views, {}, quiet_, &evidence));
+    }
 }
 
 TEST_F(GpuFair, RefusesAlike) {

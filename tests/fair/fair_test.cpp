@@ -13,11 +13,13 @@
 #include <random>
 
 #include "base/vector_loops.h"
+#include "support/depth_scene.h"
 #include "support/same_grid.h"
 #include "support/scenes.h"
 #include "vdbcarve/carve.h"
 #include "vdbcarve/error.h"
 #include "vdbcarve/evaluate.h"
+#include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
 #include "vdbcarve/slack.h"
@@ -39,11 +41,11 @@ struct Faired {
         for (size_t u = 0; u < cameras.size(); ++u) views.push_back({cameras[u], view_of(shoot.scene.masks[u])});
         result = again(fairness);
     }
-    FairResult again(double fairness = 0.06) const {
+    FairResult again(double fairness = 0.06, const FairEvidence* evidence = nullptr) const {
         Progress quiet;
         FairOptions options;
         options.fairness = fairness;
-        return fair(*hull, views, options, quiet);
+        return fair(*hull, views, options, quiet, evidence);
     }
     Evaluation against_truth(const openvdb::FloatGrid& surface) const {
         Progress quiet;
@@ -102,13 +104,17 @@ TEST(Fair, EverySilhouetteStaysCovered) {
     }
 }
 
-TEST(Fair, LiesInsideTheHull) {
-    const Faired f(small_spec("cup", 10, 160, 120), 90);
+void expect_inside_hull(const Faired& f) {
     const auto hull = f.hull->getConstAccessor();
     const float band = f.hull->background();
     size_t seen = 0;
     for (auto v = f.result.surface->cbeginValueOn(); v; ++v, ++seen) ASSERT_GE(*v, std::min(hull.getValue(v.getCoord()), band) - 1e-5f * band);
     EXPECT_GT(seen, 1000u);
+}
+
+TEST(Fair, LiesInsideTheHull) {
+    const Faired f(small_spec("cup", 10, 160, 120), 90);
+    expect_inside_hull(f);
     EXPECT_EQ(f.result.surface->getGridClass(), openvdb::GRID_LEVEL_SET);
     EXPECT_EQ(f.result.surface->getName(), "surface");
     EXPECT_LT(f.result.volume, f.result.hull_volume);
@@ -124,6 +130,59 @@ TEST(Fair, IsNearerToTheObject) {
     EXPECT_GT(fair.iou, hull.iou);
     EXPECT_LT(fair.truth_lost, 0.05);
     EXPECT_LT(fair.normal_error_mean_deg, hull.normal_error_mean_deg);
+}
+
+// A cup's hollow shows in no silhouette. Depths that are off by up to a voxel say where it is; those of one half say nothing of the other.
+TEST(Fair, FollowsDepthsWhereTheyAreSure) {
+    Faired f(small_spec("cup", 10, 240, 180), 128);
+    const auto off = [&](const openvdb::FloatGrid& surface, double lo, double hi) {  // of the truth, mean over its vertices with such an x
+        const openvdb::tools::GridSampler<openvdb::FloatGrid, openvdb::tools::BoxSampler> sampler(surface);
+        double sum = 0;
+        size_t count = 0;
+        for (const auto& v : f.shoot.scene.truth.vertices) {
+            if (v[0] < lo || v[0] > hi) continue;
+            sum += std::fabs(sampler.wsSample(openvdb::Vec3d(v[0], v[1], v[2]))) / f.hull->voxelSize()[0];
+            ++count;
+        }
+        return sum / static_cast<double>(count);
+    };
+    const openvdb::FloatGrid::Ptr without = f.result.surface;
+    EXPECT_GT(off(*without, -1, 1), 0.8);
+    for (const double sure_from : {-1.0, 0.0}) {
+        const DepthScene depths = depth_scene(*f.hull, f.shoot.scene.truth, 1, sure_from);
+        const FairEvidence evidence = depths.evidence();
+        f.result = f.again(0.06, &evidence);
+        EXPECT_LT(off(*f.result.surface, sure_from + 0.25, 1), 0.25) << sure_from;  // beside the cut through the hollow it is rounded
+        if (sure_from > -1) EXPECT_LT(off(*f.result.surface, -1, -0.25), off(*without, -1, -0.25) + 0.05);
+        EXPECT_EQ(uncovered(f).first, 0u);
+        expect_inside_hull(f);
+        for (const int threads : {1, 3}) {
+            const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threads));
+            expect_same(*f.result.surface, *f.again(0.06, &evidence).surface);
+        }
+    }
+}
+
+// A filter takes rims and thin parts away.
+TEST(Fair, CoversAgainWhatAFilterUncovers) {
+    Faired f(small_spec("cup", 10, 160, 120), 90);
+    Progress quiet;
+    FilterOptions rough;
+    rough.steps = parse_filters("gaussian:2x2");
+    rough.repair_volume = false;
+    const openvdb::FloatGrid::Ptr fair = f.result.surface;
+    const double volume = f.result.volume;
+    f.result.surface = filter(fair->deepCopy(), rough, quiet).surface;
+    EXPECT_GT(uncovered(f).first, 20u);
+    f.result = cover_again(*f.hull, *f.result.surface, f.views, quiet);
+    EXPECT_EQ(uncovered(f).first, 0u);
+    EXPECT_EQ(f.result.uncovered, 0u);
+    expect_inside_hull(f);
+    // What covers already stays, but for contours that are near enough to be kept once others are.
+    const FairResult same = cover_again(*f.hull, *fair, f.views, quiet);
+    const auto before = fair->getConstAccessor();
+    for (auto v = same.surface->cbeginValueOn(); v; ++v) ASSERT_LE(*v, before.getValue(v.getCoord()) + 1e-5f * f.hull->background());
+    EXPECT_LT(same.volume, 1.005 * volume);
 }
 
 // Where many views leave no room the hull is right already, and stays.

@@ -64,14 +64,14 @@ std::map<std::string, std::string> keys_of(const ReconstructOptions& o) {
     Surface surface;
     surface.key = "surface";
     surface.grid = openvdb::FloatGrid::create(1.0f);
-    keys["fair"] = Fair{o, shoot, masks, hull.grid, surface}.key().hex();
+    keys["fair"] = Fair{o, shoot, masks, hull.grid, surface.grid, surface}.key().hex();
     Stereo stereo{o, shoot, masks, hull.grid, surface};
     stereo.prepare(run);
     keys["stereo"] = stereo.key().hex();
     Color color{o, shoot, masks, hull.grid, surface};
     color.prepare(run);
     keys["color"] = color.key().hex();
-    Filter filter{o, shoot, masks, hull.grid, surface};
+    Filter filter{o, shoot, masks, hull.grid, surface.grid, surface};
     filter.prepare(run);
     keys["filter"] = filter.key().hex();
     Colors colors;

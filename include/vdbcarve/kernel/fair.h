@@ -128,6 +128,25 @@ VDBCARVE_HD float carried_value(float hull, const FairField& coarse_hull, const 
     return max_f(hull, clamp_f(coarser_value(coarse, x, y, z) + detail, -kFairBand_vox, kFairBand_vox));
 }
 
+/// Where depths see the surface on a level, and how sure they are. The level set that they carved has leaves and a lattice of its own. Borrowed.
+struct FairDepths {
+    FairField carved;
+    const float* weight;  ///< of its leaves' voxels, 0..1
+};
+
+/// A voxel's value nearer to `target` by such a share of the way, and not below the hull.
+VDBCARVE_HD float led_value(float value, float target, float share, float hull) { return max_f(value + share * (target - value), hull); }
+
+/// How sure depths are in a coarser level's voxel: as in the surest of its 2^3, for most of them lie beyond the band that depths speak of.
+VDBCARVE_HD float coarser_weight(const FairDepths& fine, int i, int j, int k) {
+    float most = 0.f;
+    for (int c = 0; c < 8; ++c) {
+        const int64_t p = fine.carved.place(2 * i + (c >> 2), 2 * j + (c >> 1 & 1), 2 * k + (c & 1));
+        if (p >= 0) most = max_f(most, fine.weight[p]);
+    }
+    return most;
+}
+
 /// A view's camera in index coordinates. Pixels are samples of its distance field.
 struct FairEye {
     double centre[3];
@@ -343,14 +362,16 @@ VDBCARVE_HD bool rim_line(const FairEye& e, const FairField& hull, int x, int y,
     return true;
 }
 
-/// The line of a sample deeper inside; false: the field is `safe` deep on it, or deeper.
+/// The line of a sample deeper inside; false: the field is `safe` deep on it, or deeper. Where no surface is near it must be covered and no more: between two
+/// parts of the object the hull is deeper only far from either, where a surface would stand in the air.
 VDBCARVE_HD bool near_line(const FairEye& e, const FairField& f, int x, int y, float safe, FairLine& line) {
     if (!line_of_sight(e, f, x + 0.5, y + 0.5, line.ray)) return false;
-    line.keep = line.must = -line.ray.sample_vox;
+    line.keep = -line.ray.sample_vox;
+    line.must = max_f(line.keep, kFairCovered_vox);
     line.first = 0;
     line.last = line.ray.last;
     line.settled = 0;
-    const float enough = min_f(safe, line.must);
+    const float enough = min_f(safe, line.keep);
     return least_on(f, line.ray, kFieldSamples, 0.f, enough, line.met) > enough;
 }
 
@@ -395,11 +416,13 @@ VDBCARVE_HD FairOpen look_along(const FairField& f, const FairField& hull, const
     if ((number < 0 ? FairField::tile(number) : value_in(f, number, before)) <= line.keep) return met;
     if (!line.settled) {  // what the hull allows is asked of the few that need it
         line.settled = 1;
-        line.keep = line.must = max_f(least_on(hull, line.ray, kHullSamples, 0.f, line.must, line.met), line.must) + kFairSlack_vox;
+        const float least = least_on(hull, line.ray, kHullSamples, 0.f, line.keep, line.met);
+        line.keep = max_f(least, line.keep) + kFairSlack_vox;
+        line.must = max_f(least, line.must) + kFairSlack_vox;
         line.first = line.ray.last + 1;
         line.last = -1;
         if (line.keep >= kFairBand_vox) return met;
-        deep_span(hull, line.ray, line.keep, line.first, line.last);
+        deep_span(hull, line.ray, line.must, line.first, line.last);
     }
     NearestPlace place = nearest_place(f, hull, coarser, line.ray, line.first, line.last, line.keep, line.met);
     line.met = place.sample;

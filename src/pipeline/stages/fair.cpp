@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "pipeline/stages/fair.h"
 
+#include <openvdb/tree/LeafManager.h>
+
+#include <optional>
+
 #include "base/text.h"
 #include "vdbcarve/fair.h"
 #include "vdbcarve/level_set.h"
@@ -12,14 +16,42 @@ namespace {
 
 constexpr const char* kFile = "surface.vdb";
 
+/// Where depths say where the surface is, silhouettes leave nothing open.
+void known_by_depth(openvdb::FloatGrid& slack, const openvdb::FloatGrid& confidence) {
+    openvdb::tree::LeafManager<openvdb::FloatTree> leaves(slack.tree());
+    leaves.foreach ([&](openvdb::FloatTree::LeafNodeType& leaf, size_t) {
+        const auto* known = confidence.tree().probeConstLeaf(leaf.origin());
+        for (auto v = leaf.beginValueOn(); known && v; ++v) v.setValue(*v * (1.f - known->getValue(v.pos())));
+    });
+}
+
 }  // namespace
+
+std::vector<FairView> fair_views(const Shoot& shoot, const Silhouettes& masks) {
+    std::vector<FairView> out;
+    const std::vector<Camera> cameras = used_cameras(shoot, masks);
+    for (size_t u = 0; u < cameras.size(); ++u) out.push_back({cameras[u], view_of(masks.masks.masks[masks.used[u]])});
+    return out;
+}
+
+openvdb::FloatGrid::Ptr to_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress) {
+    const LevelSetOptions band;
+    return half_width_vox < band.half_width_vox ? level_set(grid->deepCopy(), band, progress) : grid;
+}
+
+openvdb::FloatGrid::Ptr from_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress) {
+    LevelSetOptions band;
+    if (half_width_vox == band.half_width_vox) return grid;
+    band.half_width_vox = half_width_vox;
+    return level_set(grid, band, progress);
+}
 
 Surface Fair::on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slack) const {
     Surface out = surface;
     if (options.surface.keep_hull) {
-        out.hull = openvdb::FloatGrid::create(surface.grid->treePtr());
-        out.hull->openvdb::MetaMap::operator=(*surface.grid);
-        out.hull->setTransform(surface.grid->transformPtr());
+        out.hull = openvdb::FloatGrid::create(hull->treePtr());
+        out.hull->openvdb::MetaMap::operator=(*hull);
+        out.hull->setTransform(hull->transformPtr());
         out.hull->setName("hull_surface");
     }
     out.grid = std::move(fair);
@@ -28,28 +60,30 @@ Surface Fair::on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slac
 }
 
 Surface Fair::run(Run& run) {
-    std::vector<FairView> views;
-    const std::vector<Camera> cameras = used_cameras(shoot, masks);
-    for (size_t u = 0; u < cameras.size(); ++u) views.push_back({cameras[u], view_of(masks.masks.masks[masks.used[u]])});
-    // The fair surface is found with a band of 3 voxels; other widths are made of it.
-    LevelSetOptions band;
+    const std::vector<FairView> views = fair_views(shoot, masks);
     const int wanted = options.carve.half_width_vox;
-    const openvdb::FloatGrid::Ptr hull = wanted < band.half_width_vox ? level_set(surface.grid->deepCopy(), band, run.progress()) : surface.grid;
+    const openvdb::FloatGrid::Ptr bound = to_fair_band(hull, wanted, run.progress());
+    const auto confidence = openvdb::gridPtrCast<openvdb::FloatGrid>(surface.stereo_confidence);
+    openvdb::FloatGrid::Ptr carved;
+    std::optional<FairEvidence> evidence;
+    if (confidence) {
+        carved = to_fair_band(surface.grid, wanted, run.progress());
+        evidence.emplace(FairEvidence{*carved, *confidence});
+    }
+    const FairEvidence* said = evidence ? &*evidence : nullptr;
     FairResult result;
     const bool done = run.device().run("fair", [&](Device& device) {
-        if (!run.is_on_device(hull)) device.set_surface(*hull);
+        if (!run.is_on_device(bound)) device.set_surface(*bound);
         run.forget_device_grid();
-        result = device.fair(*hull, views, options.surface.options, run.progress());
+        result = device.fair(*bound, views, options.surface.options, run.progress(), said);
     });
     if (!done) {
         run.forget_device_grid();
-        result = fair(*hull, views, options.surface.options, run.progress());
+        result = fair(*bound, views, options.surface.options, run.progress(), said);
     }
-    const openvdb::FloatGrid::Ptr open = slack(*hull, *result.surface);
-    if (wanted != band.half_width_vox) {
-        band.half_width_vox = wanted;
-        result.surface = level_set(result.surface, band, run.progress());
-    }
+    openvdb::FloatGrid::Ptr open = slack(*bound, *result.surface);
+    if (confidence) known_by_depth(*open, *confidence);
+    result.surface = from_fair_band(result.surface, wanted, run.progress());
     Surface made = on_hull(result.surface, open);
     made.fair = {{"fairness", options.surface.options.fairness},
                  {"hull_volume", result.hull_volume},

@@ -4,8 +4,15 @@
 
 #include "pipeline/run.h"
 #include "pipeline/values.h"
+#include "vdbcarve/fair.h"
 
 namespace vdbcarve::pipeline {
+
+/// What the views that are carved with show. Borrows the masks.
+std::vector<FairView> fair_views(const Shoot& shoot, const Silhouettes& masks);
+/// The fair surface is found in a band of 3 voxels or more. A level set with `half_width_vox` in such a one; and one of 3 back in `half_width_vox`.
+openvdb::FloatGrid::Ptr to_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress);
+openvdb::FloatGrid::Ptr from_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress);
 
 struct Fair {
     static constexpr const char* kName = "fair";
@@ -15,7 +22,8 @@ struct Fair {
     const Shoot& shoot;
     const Silhouettes& masks;
     const GridFacts& grid;
-    Surface surface;
+    openvdb::FloatGrid::Ptr hull;  ///< its level set
+    Surface surface;               ///< the same, or what depths left of it
 
     Key key() const { return Key(kName).of(surface.key).of(options.surface); }
     Surface run(Run& run);

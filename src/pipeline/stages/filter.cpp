@@ -8,6 +8,7 @@
 
 #include "base/statistics.h"
 #include "base/text.h"
+#include "pipeline/stages/fair.h"
 
 namespace vdbcarve::pipeline {
 
@@ -67,9 +68,26 @@ Surface Filter::run(Run& run) {
         made.grid = result.surface;
     }
     made.filter = summary(result, run.progress());
+    if (!made.fair.is_null()) {
+        run.forget_device_grid();
+        cover(made, run.progress());
+    }
     made.filter_chain = chosen_["chain"];
     made.filter_volumes = {result.volume_before, result.volume_filtered};
     return made;
+}
+
+void Filter::cover(Surface& made, Progress& progress) const {
+    const int wanted = options.carve.half_width_vox;
+    const FairResult covered =
+        cover_again(*to_fair_band(hull, wanted, progress), *to_fair_band(made.grid, wanted, progress), fair_views(shoot, masks), progress);
+    const double volume = made.filter.at("volume");
+    progress.note(text_of("silhouettes are covered again after the filter: volume %+.3f %%", 100 * (covered.volume / volume - 1)));
+    if (covered.uncovered > 0)
+        progress.warn(text_of("the filter leaves %zu of %zu lines of sight uncovered. Remedy: a weaker --filter", covered.uncovered, covered.lines_of_sight));
+    made.filter["covered_volume"] = covered.volume;
+    made.filter["uncovered"] = covered.uncovered;
+    made.grid = from_fair_band(covered.surface, wanted, progress);
 }
 
 json Filter::summary(const FilterResult& result, Progress& progress) const {

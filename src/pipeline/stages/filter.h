@@ -15,6 +15,7 @@ struct Filter {
     const Shoot& shoot;
     const Silhouettes& masks;
     const GridFacts& grid;
+    openvdb::FloatGrid::Ptr hull;  ///< its level set
     Surface surface;
 
     void prepare(Run& run);
@@ -31,6 +32,8 @@ struct Filter {
     nlohmann::json chosen_ = nlohmann::json::object();  ///< which chain, and why
 
   private:
+    /// A filter knows nothing of silhouettes: what it took from them grows back.
+    void cover(Surface& made, Progress& progress) const;
     nlohmann::json summary(const FilterResult& result, Progress& progress) const;
 };
 
