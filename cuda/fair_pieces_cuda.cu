@@ -129,6 +129,13 @@ __global__ void __launch_bounds__(kLeafVoxels)
     if (labels.of[at] && goes(sizes[root_of(parent, labels.first[blockIdx.x] + labels.of[at] - 1)], largest, share)) values[at] = 1.f;
 }
 
+__global__ void drop_tiles(int32_t* leaf_at, int64_t places, Labels labels, const int32_t* parent, const unsigned long long* sizes,
+                           const unsigned long long* largest, double share) {
+    const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+    if (p < places && leaf_at[p] == kInsideTile && goes(sizes[root_of(parent, labels.tiles + static_cast<int32_t>(p))], largest, share))
+        leaf_at[p] = kOutsideTile;
+}
+
 }  // namespace
 
 size_t FairStage::drop_pieces(double share, const Stream& stream, StageTimes& times) {
@@ -162,6 +169,8 @@ size_t FairStage::drop_pieces(double share, const Stream& stream, StageTimes& ti
         count_dropped<<<blocks, kThreads, 0, s>>>(sizes, all, largest, share, dropped);
         VDBCARVE_LAUNCHED();
         drop<<<level_.leaves, kLeafVoxels, 0, s>>>(labels, parent, sizes, largest, share, level_.field.of.data());
+        VDBCARVE_LAUNCHED();
+        drop_tiles<<<blocks_for(level_.places(), kThreads), kThreads, 0, s>>>(level_.leaf_at.data(), places, labels, parent, sizes, largest, share);
         VDBCARVE_LAUNCHED();
         stream.to_host(home, largest, 2);
     });

@@ -361,6 +361,8 @@ class Pieces {
     }
     /// Voxels of the piece that a voxel belongs to; 0: it is outside.
     size_t size_at(size_t voxel) { return of_[voxel] ? sizes_[root(first_[voxel / kLeafVoxels] + of_[voxel] - 1)] : 0; }
+    /// Of the piece that a place's tile belongs to; 0: the place is none of the inside.
+    size_t size_of_tile(size_t place) { return level_.leaf_at[place] == kInsideTile ? sizes_[root(tiles_ + place)] : 0; }
     /// Of every piece, by no order; 0: none.
     const std::vector<size_t>& sizes() const { return sizes_; }
 
@@ -428,6 +430,8 @@ size_t drop_pieces(Level& level, double share) {
     const auto dropped = static_cast<size_t>(std::count_if(pieces.sizes().begin(), pieces.sizes().end(), goes));
     for (size_t at = 0; dropped > 0 && at < level.field.of.size(); ++at)
         if (goes(pieces.size_at(at))) level.field.of[at] = 1.f;
+    for (size_t p = 0; dropped > 0 && p < level.leaf_at.size(); ++p)
+        if (goes(pieces.size_of_tile(p))) level.leaf_at[p] = kOutsideTile;
     return dropped;
 }
 

@@ -497,7 +497,9 @@ VDBCARVE_HD void lower_column(const FairField& f, const FairPull& p, int column,
               p.to_the_hull ? 2.f * kFairBand_vox : share * p.fall + (corner ? kMore_vox : 0.f));
     }
 }
+/// Nothing falls as deep as the band's end: beside a voxel outside the band neither would be active, and meshes would have a hole there.
+inline constexpr float kDeepestFall_vox = kFairBand_vox - 0.1f;
 /// A voxel that falls by so much, not below the hull, and does not rise.
-VDBCARVE_HD float fallen(float v, float by, float hull) { return min_f(v, max_f(v - by, hull)); }
+VDBCARVE_HD float fallen(float v, float by, float hull) { return min_f(v, max_f(max_f(v - by, hull), -kDeepestFall_vox)); }
 
 }  // namespace vdbcarve::kernel
