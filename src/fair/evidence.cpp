@@ -1,6 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fair/evidence.h"
 
+#include <atomic>
+#include <cmath>
+
+#include "fair/sight_plan.h"
+#include "vdbcarve/silhouettes_kept.h"
+
 namespace vdbcarve::fairing {
 
 using kernel::FairField;
@@ -58,3 +64,37 @@ void Evidence::follow(Level& level, float share) const {
 }
 
 }  // namespace vdbcarve::fairing
+
+namespace vdbcarve {
+
+double silhouettes_kept(const openvdb::FloatGrid& hull, const FairEvidence& evidence, const std::vector<FairView>& views) {
+    using namespace fairing;
+    constexpr size_t kViews = 12;
+    std::vector<FairView> some;
+    for (size_t v = 0; v < views.size(); v += (views.size() + kViews - 1) / kViews) some.push_back(views[v]);
+    Level before = level_of(hull), after = level_of(evidence.carved);
+    for (Level* level : {&before, &after}) find_least(*level, level->hull);
+    const SightPlan plan = plan_sight(before, hull.transform(), some, 1, true);
+    Progress quiet;
+    const std::vector<DistanceField> fields = distance_fields(plan.masks, plan.fields, quiet);
+    std::atomic<size_t> all{0}, kept{0};
+    tbb::parallel_for(size_t{0}, some.size(), [&](size_t v) {
+        const kernel::FairMask m = mask_of(fields[v], fields[v].silhouette.samples.data(), fields[v].ignored.samples.data());
+        const auto meets = [&](const Level& level, int i, int j) {
+            const FairField f = level.view(level.hull);
+            kernel::FairRay ray;
+            int at = 0;
+            return kernel::line_of_sight(plan.eyes[v], f, m.x0 + i + 0.5, m.y0 + j + 0.5, ray) &&
+                   kernel::least_on(f, ray, kernel::kHullSamples, 0.f, 0.f, at) <= 0.f;
+        };
+        for (int j = 0; j < m.height; ++j)
+            for (int i = j % 3; i < m.width; i += 3) {  // a third of them says as much
+                if (!(std::fabs(m.inside(i, j) + 1.5f) <= 0.5f) || m.says_nothing(i, j) || !meets(before, i, j)) continue;
+                ++all;
+                if (meets(after, i, j)) ++kept;
+            }
+    });
+    return all ? static_cast<double>(kept) / static_cast<double>(all) : 1;
+}
+
+}  // namespace vdbcarve

@@ -4,6 +4,7 @@
 #include "vdbcarve/fair.h"
 
 #include <gtest/gtest.h>
+#include <openvdb/tools/Composite.h>
 #include <openvdb/tools/Interpolation.h>
 #include <openvdb/tools/LevelSetSphere.h>
 #include <tbb/global_control.h>
@@ -13,6 +14,7 @@
 #include <random>
 
 #include "base/vector_loops.h"
+#include "fair/fair_level.h"
 #include "support/depth_scene.h"
 #include "support/same_grid.h"
 #include "support/scenes.h"
@@ -22,6 +24,7 @@
 #include "vdbcarve/filter.h"
 #include "vdbcarve/level_set.h"
 #include "vdbcarve/mesh.h"
+#include "vdbcarve/silhouettes_kept.h"
 #include "vdbcarve/slack.h"
 
 namespace vdbcarve::test {
@@ -159,6 +162,65 @@ TEST(Fair, FollowsDepthsWhereTheyAreSure) {
         for (const int threads : {1, 3}) {
             const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threads));
             expect_same(*f.result.surface, *f.again(0.06, &evidence).surface);
+        }
+    }
+}
+
+// Masks that are two pixels too large all around make a hull that depths contradict along every contour.
+TEST(Fair, DepthsTellMasksThatAreTooLarge) {
+    const auto widen = [](SyntheticScene& scene) {
+        for (Mask& m : scene.masks) {
+            const Image8 from = m.coverage;
+            for (int y = 0; y < from.height; ++y)
+                for (int x = 0; x < from.width; ++x)
+                    for (int d = 0; d < 25; ++d)
+                        m.coverage.at(x, y) =
+                            std::max(m.coverage.at(x, y), from.at(std::clamp(x + d % 5 - 2, 0, from.width - 1), std::clamp(y + d / 5 - 2, 0, from.height - 1)));
+        }
+    };
+    for (const bool wide : {false, true}) {
+        const Faired f(small_spec("ellipsoids", 10, 240, 180), 128, 0, wide ? widen : std::function<void(SyntheticScene&)>());
+        const DepthScene depths = depth_scene(*f.hull, f.shoot.scene.truth, 0.3, -9);
+        const double kept = silhouettes_kept(*f.hull, depths.evidence(), f.views);
+        EXPECT_TRUE(wide ? kept < 0.5 : kept > 0.95) << kept;
+    }
+}
+
+// A piece that hangs in the air goes whole, with the parts of its inside that are stored as tiles.
+TEST(Fair, DropsPiecesWithTheirTiles) {
+    const auto large = openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(40.3f, openvdb::Vec3f(0, 0, 0), 1.f, 3.f);
+    const auto small = openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(16.3f, openvdb::Vec3f(84, 4, 4), 1.f, 3.f);
+    openvdb::FloatGrid::Ptr both = large->deepCopy();
+    openvdb::tools::csgUnion(*both, *small->deepCopy());
+    fairing::Level level = fairing::level_of(*both);
+    level.field = level.hull;
+    ASSERT_EQ(fairing::grid_of(level, *both)->tree().getValue(openvdb::Coord(84, 4, 4)), -3.f);  // a tile
+    EXPECT_EQ(fairing::drop_pieces(level, 0.5), 1u);
+    const openvdb::FloatGrid::Ptr left = fairing::grid_of(level, *both);
+    for (auto v = left->cbeginValueAll(); v; ++v)
+        if (*v < 0.f) ASSERT_LT(v.getCoord().x(), 45);
+    EXPECT_LT(left->tree().getValue(openvdb::Coord(0, 0, 0)), 0.f);
+}
+
+// Lines with no surface near are reached through the hull, however deep that is: the mesh stays closed.
+TEST(Fair, MeshesStayClosedWhereLinesAreReachedThroughTheHull) {
+    const auto disturb = [](SyntheticScene& scene) {
+        for (Mask& m : scene.masks)
+            for (int y = 0; y < m.coverage.height; ++y)
+                for (int x = 0; x < m.coverage.width; ++x)
+                    if ((x * 7 + y * 3) % 11 < 3 && (x / 5 + y / 5) % 3 == 0) m.coverage.at(x, y) = 255;
+    };
+    const Faired f(small_spec("ellipsoids", 5, 96, 72), 64, 0.15, disturb);
+    Progress quiet;
+    const MeshMeasures m = measure(extract_mesh(*f.result.surface, {}, quiet));
+    EXPECT_TRUE(m.closed);
+    const auto at = f.result.surface->getConstAccessor();
+    for (auto v = f.result.surface->cbeginValueOff(); v; ++v) {  // a voxel outside the band has none of the other side beside it
+        if (!v.isVoxelValue()) continue;
+        for (int n = 0; n < 3; ++n) {
+            openvdb::Coord beside = v.getCoord();
+            ++beside[n];
+            if (!at.isValueOn(beside)) ASSERT_EQ(*v < 0.f, at.getValue(beside) < 0.f) << v.getCoord();
         }
     }
 }

@@ -25,12 +25,20 @@ struct Fair {
     openvdb::FloatGrid::Ptr hull;  ///< its level set
     Surface surface;               ///< the same, or what depths left of it
 
+    void prepare(Run& run);
+    bool idle() const { return kept_ < kLeastKept; }
+    Surface passed() { return std::move(surface); }
     Key key() const { return Key(kName).of(surface.key).of(options.surface); }
     Surface run(Run& run);
     void save(Slot& slot, const Surface& made) const;
     Surface load(const Slot& slot) const;
-    void report(const Surface& made, nlohmann::json& report) const { report["fair"] = made.fair; }
+    void report(const Surface& made, nlohmann::json& report) const;
     void say(const Surface& made, Progress& progress) const;
+
+    /// Where depths and silhouettes agree less (silhouettes_kept()), one of them is wrong, and a surface that follows both has ridges along every contour.
+    static constexpr double kLeastKept = 0.9;
+    // What prepare() leaves. Public, so that a stage is an aggregate.
+    double kept_ = 1;
 
   private:
     Surface on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slack) const;
