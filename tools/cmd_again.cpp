@@ -36,7 +36,7 @@ Command add_again(CLI::App& program, const char* name, const char* what, const c
                 const bool json = common.json == "-";
                 ReconstructOptions used;
                 const auto change = [&](ReconstructOptions& options) {
-                    if (app->get_name() == "stereo") options.stereo.on = true;  // unless --stereo says otherwise
+                    if (app->get_name() == "stereo") options.stereo.use = StereoSettings::Use::On;  // unless --stereo says otherwise
                     change_options(options, raw->changes);
                     options.run.on_stage = [json](const std::string& event) { say_stage(event, json); };
                     used = options;

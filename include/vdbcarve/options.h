@@ -131,17 +131,23 @@ void visit(O& o, V& v) {
 }
 
 struct StereoSettings {
-    bool on = false;  ///< carve concavities by the photographs' depths
+    enum class Use { Off, On, Auto };  ///< Auto: where the photographs show enough, which the depths themselves say
+    Use use = Use::Off;                ///< carve concavities by the photographs' depths
     StereoOptions options;
     bool maps = false;  ///< every view's depths and how sure they are, as pictures in OUT/depth
+
+    bool is_wanted() const { return use != Use::Off; }
 };
+inline constexpr Word<StereoSettings::Use> kStereoWords[] = {
+    {"off", StereoSettings::Use::Off}, {"on", StereoSettings::Use::On}, {"auto", StereoSettings::Use::Auto}};
 template <OptionsOf<StereoSettings> O, class V>
 void visit(O& o, V& v) {
     v(Option{"stereo",
              "on: carve what silhouettes cannot see (concavities) by the photographs' depths, inside the hull; needs texture, and every place seen by three "
-             "photographs 8 to 40 degrees apart. off (default)",
+             "photographs 8 to 40 degrees apart. off (default). auto: on if at least a fifth of the object's pixels have a depth that other photographs agree "
+             "with",
              "Stereo", in::kMeshing},
-      o.on, Words(kOnOffWords));
+      o.use, Words(kStereoWords));
     v.part(o.options);
     v(Option{"stereo-maps", "OUT/depth gets every view's depths (32-bit float .tiff, along the camera's z, 0: none) and how sure they are (.png)", "Stereo",
              in::kMeshing},

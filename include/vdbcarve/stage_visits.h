@@ -235,6 +235,7 @@ void visit(O& o, V& v) {
     v(Option{"stereo-coarser-weight"}, o.coarser_weight, at_least(0));
     v(Option{"stereo-least-weight"}, o.least_weight, at_least(0));
     v(Option{"stereo-least-piece"}, o.least_piece, at_least(0));
+    v.set_by_job("hull margin", o.hull_margin_px);
 }
 
 template <OptionsOf<ExposureOptions> O, class V>

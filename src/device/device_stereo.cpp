@@ -63,7 +63,7 @@ StereoResult Device::stereo(const openvdb::FloatGrid& surface, const std::vector
     const Parts::Volume& volume = p.need(p.surface, "level set");
     StereoResult out;
     out.backend_used = "cuda";
-    out.scale = options.scale ? options.scale : default_stereo_scale(surface, used_cameras(inputs));
+    out.scale = stereo_scale(surface, inputs, options);
     const size_t n = inputs.size();
     const RenderFrame frame = stereo_frame(surface);
     const double deepest = options.depth_share * longest_side(surface), voxel = surface.voxelSize()[0];

@@ -11,8 +11,8 @@ void accept_or_refuse(const std::vector<std::string>& why, const std::string& wh
 }
 
 void warn_of_idle_options(const ReconstructOptions& options, Progress& progress) {
-    if (!options.stereo.on && options.run.last_stage == LastStage::Export && (options.stereo.options != StereoOptions() || options.stereo.maps))
-        progress.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on");
+    if (!options.stereo.is_wanted() && options.run.last_stage == LastStage::Export && (options.stereo.options != StereoOptions() || options.stereo.maps))
+        progress.warn("--stereo-scale, --stereo-depth, --stereo-levels and --stereo-maps do nothing without --stereo on or auto");
     if (!makes_fair(options) && options.run.last_stage == LastStage::Export &&
         (options.surface.options.fairness != FairOptions().fairness || options.surface.keep_hull))
         progress.warn("--fairness and --keep-hull do nothing with --surface hull or --occupancy");

@@ -47,7 +47,7 @@ void check_rules(const ReconstructOptions& o, Faults& faults) {
     faults.need(!o.mesh.normals || o.mesh.mesher == Mesher::MarchingCubes, "--normals are made by --mesher marching-cubes only");
     faults.need(o.mesh.mesher == Mesher::Dual || o.mesh.adaptivity == 0, "--adaptivity is of --mesher dual; marching cubes has none");
     faults.need(!o.mesh.quads || o.mesh.mesher == Mesher::Dual, "--quads are made by --mesher dual only");
-    faults.need(!o.stereo.on || !o.carve.occupancy, "--stereo on carves a level set, and --occupancy makes none");
+    faults.need(!o.stereo.is_wanted() || !o.carve.occupancy, "--stereo carves a level set, and --occupancy makes none");
     faults.need(!o.color.options.skip_upright || o.color.options.mode == ColorMode::Best, "--paper is of --color best");
     faults.need(o.color.leave_out != 1, "--color-leave-out is 1, must be 0 (none) or at least 2 (every second)");
     const SmoothOptions& s = o.smooth.factors;

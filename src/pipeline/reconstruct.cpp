@@ -67,7 +67,8 @@ Reconstruction reconstruct(const ReconstructOptions& o, Progress& progress) {
         if (last == LastStage::Carve) return publish(run, shoot, masks, kept, hull);
         Surface surface = run(LevelSet{o, shoot, masks, hull});
         const openvdb::FloatGrid::Ptr level_set = surface.grid;
-        if (o.stereo.on) surface = run(Stereo{o, shoot, masks, hull.grid, std::move(surface)});
+        if (o.stereo.is_wanted())
+            if (Surface carved = run(Stereo{o, shoot, masks, hull.grid, surface}); Stereo::is_used(o.stereo, carved)) surface = std::move(carved);
         if (makes_fair(o)) surface = run(Fair{o, shoot, masks, hull.grid, level_set, std::move(surface)});
         const Colors colors = o.color.options.mode == ColorMode::None ? Colors() : run(Color{o, shoot, masks, hull.grid, surface});
         surface = run(Filter{o, shoot, masks, hull.grid, level_set, std::move(surface)});

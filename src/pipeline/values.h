@@ -145,7 +145,8 @@ struct Surface {
     nlohmann::json fair;                ///< what the report says of it; null: it is the hull's
     openvdb::FloatGrid::Ptr slack;      ///< slack.h; null: it is the hull's
     openvdb::GridBase::Ptr stereo_confidence;
-    nlohmann::json stereo;                           ///< what the report says of it; null: not carved by depth
+    double trusted_share = 0, silhouettes_kept = 1;  ///< of the depths: object pixels with one that others agree with; silhouettes_kept.h
+    nlohmann::json stereo;                           ///< what the report says of them; null: none were made
     std::filesystem::path stereo_sheet, depth_maps;  ///< in OUT/stages; empty or not there: none
     nlohmann::json filter = nlohmann::json::object();
     std::string filter_chain = "none";

@@ -343,6 +343,7 @@ figcaption{padding:6px 10px;overflow-wrap:anywhere}.good{color:var(--good)}.fair
         const fs::path file = result_ / "stereo.png";
         if (!report_.contains("stereo") || !fs::exists(file)) return;
         const json& s = report_["stereo"];
+        if (!s.value("used", true)) return;
         body_ << "<h2>Concavities</h2>\n<p>"
               << text_of(
                      "%.0f %% of the object's pixels have a depth that other views bear out; depths took %.2f %% off the hull's volume. Orange surface was "

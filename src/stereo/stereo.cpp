@@ -139,7 +139,7 @@ StereoResult stereo(const openvdb::FloatGrid& surface, const std::vector<ColorIn
     check_stereo(surface, inputs, options);
     StereoResult out;
     const size_t n = inputs.size();
-    out.scale = options.scale ? options.scale : default_stereo_scale(surface, used_cameras(inputs));
+    out.scale = stereo_scale(surface, inputs, options);
     const auto start = std::chrono::steady_clock::now();
     auto lap = [&, last = start](const char* what) mutable {
         const auto now = std::chrono::steady_clock::now();

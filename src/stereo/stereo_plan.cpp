@@ -235,13 +235,6 @@ StereoPasses stereo_passes(size_t level, size_t levels, const StereoOptions& opt
     return {first, first + std::max(options.passes >> std::min<size_t>(finer, 30), 1)};
 }
 
-std::vector<Camera> used_cameras(const std::vector<ColorInput>& inputs) {
-    std::vector<Camera> out;
-    for (const ColorInput& input : inputs)
-        if (input.use) out.push_back(input.camera);
-    return out;
-}
-
 double pixel_on_object(const std::vector<Camera>& cameras, const Vec3d& object) {
     std::vector<double> out;
     for (const Camera& c : cameras) {
@@ -260,8 +253,16 @@ Vec3d middle_of(const openvdb::FloatGrid& surface) {
 int default_stereo_scale(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras) {
     const double pixel = pixel_on_object(cameras, middle_of(surface));
     int scale = 1;
-    while (2 * scale <= kMostStereoScale && 2 * scale * pixel <= kStereoPixel_vox * surface.voxelSize()[0]) scale *= 2;
+    while (pixel > 0 && 2 * scale <= kMostStereoScale && 2 * scale * pixel <= kStereoPixel_vox * surface.voxelSize()[0]) scale *= 2;
     return scale;
+}
+
+int stereo_scale(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const StereoOptions& options) {
+    if (options.scale) return options.scale;
+    std::vector<Camera> cameras;
+    for (const ColorInput& input : inputs)
+        if (input.use) cameras.push_back(input.camera);
+    return default_stereo_scale(surface, cameras);
 }
 
 size_t steps_of(const std::vector<StereoLevel>& levels) {

@@ -47,8 +47,8 @@ struct StereoPasses {
 };
 StereoPasses stereo_passes(size_t level, size_t levels, const StereoOptions& options);
 
-/// Of the views with a photograph that is to be used.
-std::vector<Camera> used_cameras(const std::vector<ColorInput>& inputs);
+/// Of the finest level.
+int stereo_scale(const openvdb::FloatGrid& surface, const std::vector<ColorInput>& inputs, const StereoOptions& options);
 
 /// Views that are matched, over all levels.
 size_t steps_of(const std::vector<StereoLevel>& levels);

@@ -190,7 +190,8 @@ ReconstructOptions all_other() {
     o.surface.fair = false;
     o.surface.keep_hull = true;
     o.surface.options.fairness = 0.1;
-    o.stereo.on = o.stereo.maps = true;
+    o.stereo.use = StereoSettings::Use::Auto;
+    o.stereo.maps = true;
     o.stereo.options.scale = 3;
     o.stereo.options.pairs = 4;
     o.stereo.options.trust.agreeing = 3;

@@ -34,6 +34,8 @@ std::map<std::string, std::string> keys_of(const ReconstructOptions& o) {
     View view;
     view.name = "a.png";
     view.camera.intrinsics.width_px = view.camera.intrinsics.height_px = 2;
+    view.camera.intrinsics.fx = view.camera.intrinsics.fy = 8;  // pixels a voxel, nearly: stereo takes every second one by default
+    view.camera.camera_from_world.translation = Vec3d(0, 0, 1);
     shoot.views.views = {view};
     if (!o.views.up.empty()) shoot.views.up = o.views.up;
     if (!o.views.units.empty()) shoot.views.units = o.views.units;
@@ -116,26 +118,20 @@ const std::vector<Row> kTable = {
       "mask-close",
       "mask-all-components",
       "mask-fill-holes"}},
-    {"align", {"align-method",    "mat",
-               "no-features",     "paper-views",
-               "orbit",           "angles",
-               "arc[0]",          "arc[1]",
-               "direction",       "rings",
-               "sittings",        "fov",
-               "principal-point", "focal-varies",
-               "centre-varies",   "known-height",
-               "known-distance",  "known-length",
-               "align-points",    "restarts",
-               "align-seed",      "units (set by the job)",
-               "stereo"}},
+    {"align",
+     {"align-method", "mat",      "no-features", "paper-views",           "orbit",        "angles",        "arc[0]",       "arc[1]",         "direction",
+      "rings",        "sittings", "fov",         "principal-point",       "focal-varies", "centre-varies", "known-height", "known-distance", "known-length",
+      "align-points", "restarts", "align-seed",  "units (set by the job)"}},
+    {"align", {"stereo"}},
     {"carve", {"resolution", "voxel-size", "grid", "bounds", "origin", "max-misses", "outside", "silhouette-offset", "field-scale", "half-width"}},
     {"carve floor", {"min-seen"}},
-    {"carve color filter smooth", {"occupancy"}},
+    {"carve color filter smooth stereo", {"occupancy"}},
     {"align carve", {"units"}},
     {"align carve color floor", {"up"}},
     {"align carve level_set", {"floor[0]"}},
     {"level_set", {"floor-clear", "base"}},
-    {"fair", {"surface", "fairness"}},
+    {"fair", {"fairness"}},
+    {"fair stereo", {"surface"}},  // how much depths have to say near the hull
     {"stereo",
      {"stereo-most-cost", "stereo-least-contrast", "stereo-least-margin", "stereo-agreeing", "stereo-agreement", "stereo-normal", "stereo-rim", "stereo-pairs",
       "stereo-least-angle", "stereo-most-angle", "stereo-scale", "stereo-levels", "stereo-passes", "stereo-depth", "stereo-truncation", "stereo-reach",
@@ -168,6 +164,7 @@ const std::vector<Row> kTable = {
       "floor[1]",
       "cap-tolerance",
       "gains (set by the job)",
+      "hull margin (set by the job)",
       "stereo-maps",
       "keep-hull",
       "mesh-formats",

@@ -44,7 +44,8 @@ TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
     const auto run = [&] { return json::parse(reconstruct(o, quiet).report_json); };
     const json hull = run();
     EXPECT_FALSE(hull.contains("stereo"));
-    o.stereo.on = true;
+    using Use = StereoSettings::Use;
+    o.stereo.use = Use::On;
     o.stereo.options.scale = 1;
     const json carved = run();
     const double truth = DentedBall().volume();
@@ -94,9 +95,47 @@ TEST(Pipeline, ConcavitiesAreCarvedByDepth) {
     EXPECT_FALSE(Job::reused(run(), "stereo"));
     o.carve.occupancy = true;
     EXPECT_THROW(run(), UsageError);
-    o.carve.occupancy = o.stereo.on = false;
+    o.carve.occupancy = false;
+    o.stereo.use = Use::Auto;
+    EXPECT_EQ(run()["stereo"]["used"], true);
+    o.stereo.use = Use::Off;
     EXPECT_NE(run()["warnings"].dump().find("nothing without --stereo on"), std::string::npos);  // a result's config.toml may say --stereo-scale
     EXPECT_FALSE(fs::exists(folder / "out/stereo.png"));
+}
+
+// One colour: no depth that others agree with. The result is that of silhouettes alone, and is found where that was made before.
+TEST(Pipeline, StereoAutoLeavesAloneWhatHasNoTexture) {
+    TemporaryFolder folder;
+    SyntheticSpec spec = small_spec("ellipsoids", 12, 240, 180);
+    spec.pattern = Pattern::Plain;
+    spec.look.flat = true;
+    Progress quiet;
+    write_scene(synthesize(spec, quiet), folder / "scene");
+    ReconstructOptions o;
+    o.views.scene = folder / "scene";
+    o.run.output = folder / "out";
+    o.grid.resolution = 48;
+    o.result.mesh_formats = {"ply"};
+    const auto run = [&] { return json::parse(reconstruct(o, quiet).report_json); };
+    run();
+    const std::string mesh = read_text(folder / "out/mesh.ply");
+    o.stereo.use = StereoSettings::Use::Auto;
+    for (const bool again : {false, true}) {
+        const json declined = run();
+        EXPECT_EQ(declined["stereo"]["used"], false);
+        EXPECT_LT(declined["stereo"]["trusted_share"], 0.2);
+        EXPECT_FALSE(declined["stereo"].contains("volume"));
+        EXPECT_EQ(Job::reused(declined, "stereo"), again);
+        EXPECT_TRUE(Job::reused(declined, "fair"));
+        EXPECT_EQ(read_text(folder / "out/mesh.ply"), mesh);
+        EXPECT_FALSE(fs::exists(folder / "out/stereo.png"));
+        EXPECT_EQ(read_text(folder / "out/report.html").find("Concavities"), std::string::npos);
+        for (const auto& grid : read_vdb(folder / "out/volume.vdb")) EXPECT_NE(grid->getName(), "stereo_confidence");
+    }
+    o.stereo.use = StereoSettings::Use::On;
+    const json on = run();
+    EXPECT_TRUE(Job::reused(on, "stereo"));
+    EXPECT_EQ(on["stereo"]["used"], true);
 }
 
 // What silhouettes leave open of the cameras is what depths would be wrong by: texture closes it first.
@@ -122,7 +161,7 @@ TEST(Pipeline, CamerasOfStereoAreRefinedByTexture) {
     for (size_t n = 0; n < scene.truth.vertices.size(); n += 50)
         points.emplace_back(scene.truth.vertices[n][0], scene.truth.vertices[n][1], scene.truth.vertices[n][2]);
     const auto error_px = [&](bool stereo, size_t fewest_tracks) {
-        o.stereo.on = stereo;
+        o.stereo.use = stereo ? StereoSettings::Use::On : StereoSettings::Use::Off;
         EXPECT_GE(json::parse(reconstruct(o, quiet).report_json)["align"]["features"]["count"].get<size_t>(), fewest_tracks);
         ViewsOptions found;
         found.scene = folder / "scene";

@@ -86,7 +86,8 @@ void Align::prepare(Run& run) {
 }
 
 bool Align::refines_for_stereo() const {
-    return options.stereo.on && options.align.features && (options.align.method == AlignMethod::Coherence || options.align.method == AlignMethod::Paper);
+    return options.stereo.is_wanted() && options.align.features &&
+           (options.align.method == AlignMethod::Coherence || options.align.method == AlignMethod::Paper);
 }
 
 Key Align::key() const {

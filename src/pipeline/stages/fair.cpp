@@ -6,9 +6,9 @@
 #include <optional>
 
 #include "base/text.h"
+#include "surface/euler.h"
 #include "vdbcarve/fair.h"
 #include "vdbcarve/level_set.h"
-#include "vdbcarve/silhouettes_kept.h"
 #include "vdbcarve/slack.h"
 
 namespace vdbcarve::pipeline {
@@ -24,20 +24,6 @@ void known_by_depth(openvdb::FloatGrid& slack, const openvdb::FloatGrid& confide
         const auto* known = confidence.tree().probeConstLeaf(leaf.origin());
         for (auto v = leaf.beginValueOn(); known && v; ++v) v.setValue(*v * (1.f - known->getValue(v.pos())));
     });
-}
-
-/// What stereo left beside the surface, if it ran.
-struct Depths {
-    openvdb::FloatGrid::Ptr carved, confidence;
-    std::optional<FairEvidence> evidence;
-};
-Depths depths_of(const Surface& surface, int half_width_vox, Progress& progress) {
-    Depths out;
-    out.confidence = openvdb::gridPtrCast<openvdb::FloatGrid>(surface.stereo_confidence);
-    if (!out.confidence) return out;
-    out.carved = to_fair_band(surface.grid, half_width_vox, progress);
-    out.evidence.emplace(FairEvidence{*out.carved, *out.confidence});
-    return out;
 }
 
 }  // namespace
@@ -75,24 +61,23 @@ Surface Fair::on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slac
 }
 
 void Fair::prepare(Run& run) {
-    const int wanted = options.carve.half_width_vox;
-    const Depths depths = depths_of(surface, wanted, run.progress());
-    if (!depths.evidence) return;
-    kept_ = silhouettes_kept(*to_fair_band(hull, wanted, run.progress()), *depths.evidence, fair_views(shoot, masks));
-    if (idle())
-        run.progress().warn(text_of(
-            "depths and masks do not agree: of the lines of sight one to two pixels inside the contours only %.0f %% meet what the depths leave. The masks "
-            "are larger than the object, or filled where one sees through it. The depths alone make the surface, which is rougher. "
-            "Remedy: masks that end where the object does (a higher --threshold, a smaller --mask-close)",
-            100 * kept_));
+    if (!idle()) return;
+    run.progress().warn(text_of(
+        "depths and masks disagree: one to two pixels inside the masks' contours, the depths leave only %.0f %% of the lines of sight covered (%.0f %% are "
+        "needed). The masks are probably larger than the object, or filled where one sees through it. Depths alone make the surface, which is rougher. "
+        "Remedy: tighter masks (a higher --threshold, a smaller --mask-close)",
+        100 * surface.silhouettes_kept, 100 * kLeastKept));
 }
 
 Surface Fair::run(Run& run) {
     const std::vector<FairView> views = fair_views(shoot, masks);
     const int wanted = options.carve.half_width_vox;
     const openvdb::FloatGrid::Ptr bound = to_fair_band(hull, wanted, run.progress());
-    const Depths depths = depths_of(surface, wanted, run.progress());
-    const FairEvidence* said = depths.evidence ? &*depths.evidence : nullptr;
+    const auto confidence = openvdb::gridPtrCast<openvdb::FloatGrid>(surface.stereo_confidence);
+    const openvdb::FloatGrid::Ptr carved = confidence ? to_fair_band(surface.grid, wanted, run.progress()) : nullptr;
+    std::optional<FairEvidence> evidence;
+    if (confidence) evidence.emplace(FairEvidence{*carved, *confidence});
+    const FairEvidence* said = evidence ? &*evidence : nullptr;
     FairResult result;
     const bool done = run.device().run("fair", [&](Device& device) {
         if (!run.is_on_device(bound)) device.set_surface(*bound);
@@ -104,12 +89,15 @@ Surface Fair::run(Run& run) {
         result = fair(*bound, views, options.surface.options, run.progress(), said);
     }
     openvdb::FloatGrid::Ptr open = slack(*bound, *result.surface);
-    if (said) known_by_depth(*open, said->confidence);
+    if (confidence) known_by_depth(*open, *confidence);
+    const long handles_before = count_handles(said ? said->carved : *bound), handles = count_handles(*result.surface);
     result.surface = from_fair_band(result.surface, wanted, run.progress());
     Surface made = on_hull(result.surface, open);
     made.fair = {{"fairness", options.surface.options.fairness},
                  {"hull_volume", result.hull_volume},
                  {"volume", result.volume},
+                 {"handles_before", handles_before},
+                 {"handles", handles},
                  {"lines_of_sight", result.lines_of_sight},
                  {"uncovered", result.uncovered}};
     return made;
@@ -126,14 +114,13 @@ Surface Fair::load(const Slot& slot) const {
     return found;
 }
 
-void Fair::report(const Surface& made, nlohmann::json& report) const {
-    if (!idle()) report["fair"] = made.fair;
-}
-
 void Fair::say(const Surface& made, Progress& progress) const {
-    if (idle()) return;
+    if (made.fair.is_null()) return;
     const double hull = made.fair.at("hull_volume"), volume = made.fair.at("volume");
     progress.note(text_of("the fair surface holds %.1f %% of the hull's volume; every silhouette stays covered", 100 * volume / hull));
+    if (const long before = made.fair.at("handles_before"), now = made.fair.at("handles"); before > now)
+        progress.note(
+            text_of("%ld of %ld handles and webs closed, which no silhouette%s asks for", before - now, before, made.stereo_confidence ? " and no depth" : ""));
     if (const size_t open = made.fair.at("uncovered"); open > 0)
         progress.warn(text_of("the fair surface leaves %zu of %zu lines of sight uncovered. Remedy: a smaller --fairness", open,
                               made.fair.at("lines_of_sight").get<size_t>()));

@@ -26,19 +26,19 @@ struct Fair {
     Surface surface;               ///< the same, or what depths left of it
 
     void prepare(Run& run);
-    bool idle() const { return kept_ < kLeastKept; }
+    bool idle() const { return surface.silhouettes_kept < kLeastKept; }
     Surface passed() { return std::move(surface); }
     Key key() const { return Key(kName).of(surface.key).of(options.surface); }
     Surface run(Run& run);
     void save(Slot& slot, const Surface& made) const;
     Surface load(const Slot& slot) const;
-    void report(const Surface& made, nlohmann::json& report) const;
+    void report(const Surface& made, nlohmann::json& report) const {
+        if (!made.fair.is_null()) report["fair"] = made.fair;
+    }
     void say(const Surface& made, Progress& progress) const;
 
     /// Where depths and silhouettes agree less (silhouettes_kept()), one of them is wrong, and a surface that follows both has ridges along every contour.
     static constexpr double kLeastKept = 0.9;
-    // What prepare() leaves. Public, so that a stage is an aggregate.
-    double kept_ = 1;
 
   private:
     Surface on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slack) const;

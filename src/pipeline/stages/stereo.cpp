@@ -6,8 +6,10 @@
 #include "base/atomic_file.h"
 #include "image/image_io.h"
 #include "base/memory.h"
+#include "pipeline/stages/fair.h"
 #include "stereo/stereo_sheet.h"
 #include "base/text.h"
+#include "vdbcarve/silhouettes_kept.h"
 
 namespace vdbcarve::pipeline {
 
@@ -31,13 +33,20 @@ void Stereo::prepare(Run& run) {
     stereo_ = options.stereo.options;
     if (!stereo_.scale) stereo_.scale = default_stereo_scale(*surface.grid, used_cameras(shoot, masks));
     if (makes_fair(options)) stereo_.hull_margin_px = kLedMargin_px;
-    flat_ = photos_are_masks(shoot, masks);
-    if (flat_) run.progress().warn("--stereo on: the images are the silhouettes themselves, which have no texture; the hull stands");
+    idle_ = photos_are_masks(shoot, masks);
+    if (idle_) run.progress().warn("--stereo: the images are the silhouettes themselves, which have no texture; the silhouettes alone make the surface");
+    if (idle_ || options.stereo.use == StereoSettings::Use::On) return;
+    try {
+        check_memory(run);
+    } catch (const InputError& e) {
+        idle_ = true;
+        run.progress().warn(std::string(e.what()) + ". --stereo auto: the silhouettes alone make the surface");
+    }
 }
 
 Key Stereo::key() const {
     Key key(kName);
-    key.of(surface.key).of(stereo_).of(stereo_.hull_margin_px).of(options.color.leave_out);
+    key.of(surface.key).of(stereo_).of(options.color.leave_out);
     add_photographs(key, shoot, masks);
     return key;
 }
@@ -55,7 +64,7 @@ void Stereo::check_memory(Run& run) const {
     const std::string remedy =
         smaller <= kMostStereoScale && bytes_at(smaller) <= room ? text_of("--stereo-scale %d, fewer photographs", smaller) : "fewer photographs (--views)";
     throw InputError(
-        text_of("--stereo on: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB of --memory-limit are left. Remedy: %s, or "
+        text_of("--stereo: %zu photographs and their depths take %.1f GB at 1/%d of their size, and %.1f GB of --memory-limit are left. Remedy: %s, or "
                 "a larger --memory-limit",
                 masks.used.size(), bytes / 1e9, stereo_.scale, std::max(room, 0.0) / 1e9, remedy.c_str()));
 }
@@ -75,14 +84,56 @@ Surface Stereo::run(Run& run) {
         run.forget_device_grid();
         result_ = stereo(*hull_, inputs, photographs.source(), stereo_, run.progress());
     }
-    Surface made = std::move(surface);
+    Surface made = surface;
     made.grid = result_.surface;
     made.stereo_confidence = result_.confidence;
-    made.stereo = summary(result_, inputs, run.progress());
+    made.stereo = summary(result_, inputs);
+    made.trusted_share = made.stereo.at("trusted_share");
+    if (makes_fair(options)) {
+        const int wanted = options.carve.half_width_vox;
+        const openvdb::FloatGrid::Ptr before = to_fair_band(hull_, wanted, run.progress()), after = to_fair_band(made.grid, wanted, run.progress());
+        made.silhouettes_kept = silhouettes_kept(*before, {*after, *result_.confidence}, fair_views(shoot, masks));
+        made.stereo["silhouettes_kept"] = made.silhouettes_kept;
+    }
     return made;
 }
 
-json Stereo::summary(const StereoResult& result, const std::vector<ColorInput>& inputs, Progress& progress) const {
+bool Stereo::is_used(const StereoSettings& settings, const Surface& made) {
+    return settings.use == StereoSettings::Use::On || made.stereo.is_null() || made.trusted_share >= kLeastTrusted;
+}
+
+void Stereo::report(const Surface& made, json& report) const {
+    if (made.stereo.is_null()) return;
+    json& said = report["stereo"] = made.stereo;
+    said["used"] = is_used(options.stereo, made);
+    if (said["used"]) return;
+    for (const char* of_surface : {"volume_before", "volume", "fragments_dropped", "voids_filled", "silhouettes_kept"}) said.erase(of_surface);
+}
+
+void Stereo::say(const Surface& made, Progress& progress) const {
+    if (made.stereo.is_null()) return;
+    if (!is_used(options.stereo, made)) {
+        progress.note(
+            text_of("--stereo auto: only %.1f %% of the object's pixels have a depth that other photographs agree with, and %.0f %% are needed: the "
+                    "silhouettes alone make the surface. --stereo on takes the depths all the same",
+                    100 * made.trusted_share, 100 * kLeastTrusted));
+        return;
+    }
+    progress.note(text_of("stereo: %.0f %% of the object's pixels have a depth that other views bear out; volume %+.2f %%", 100 * made.trusted_share,
+                          100 * (made.stereo.at("volume").get<double>() / made.stereo.at("volume_before").get<double>() - 1)));
+    size_t with_photo = made.stereo.at("views_with_photograph"), alone = made.stereo.at("views_alone");
+    if (alone)
+        progress.warn(text_of(
+            "stereo: %zu of %zu views have no two others at %.0f to %.0f degrees from them, and give no depth. Remedy: photographs nearer to each other", alone,
+            with_photo, stereo_.least_angle_deg, stereo_.most_angle_deg));
+    if (alone < with_photo && made.trusted_share < 0.05)
+        progress.warn(
+            text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs "
+                    "texture, and cameras right to a pixel (--method refine)",
+                    100 * made.trusted_share));
+}
+
+json Stereo::summary(const StereoResult& result, const std::vector<ColorInput>& inputs) {
     json ms, of_views;
     size_t object = 0, trusted = 0, with_photo = 0, without = 0;
     for (size_t u = 0; u < inputs.size(); ++u) {
@@ -97,23 +148,14 @@ json Stereo::summary(const StereoResult& result, const std::vector<ColorInput>& 
                             {"trusted_share", share_of(v.trusted_pixels, v.object_pixels)}});
     }
     for (const auto& [name, value] : result.milliseconds) ms[name] = value;
-    progress.note(text_of("stereo: %.0f %% of the object's pixels have a depth that other views bear out; volume %+.2f %%", 100 * share_of(trusted, object),
-                          100 * (result.volume / result.volume_before - 1)));
-    if (without)
-        progress.warn(text_of(
-            "stereo: %zu of %zu views have no two others at %.0f to %.0f degrees from them, and give no depth. Remedy: photographs nearer to each other",
-            without, with_photo, stereo_.least_angle_deg, stereo_.most_angle_deg));
-    if (without < with_photo && share_of(trusted, object) < 0.05)
-        progress.warn(
-            text_of("stereo: only %.1f %% of the object's pixels have a depth that other views bear out: the hull stands nearly everywhere. It needs "
-                    "texture, and cameras right to a pixel (--method refine)",
-                    100 * share_of(trusted, object)));
     return {{"scale", result.scale},
             {"trusted_share", share_of(trusted, object)},
             {"volume_before", result.volume_before},
             {"volume", result.volume},
             {"fragments_dropped", result.fragments},
             {"voids_filled", result.voids},
+            {"views_with_photograph", with_photo},
+            {"views_alone", without},
             {"milliseconds", ms},
             {"views", of_views}};
 }
@@ -156,6 +198,8 @@ Surface Stereo::load(const Slot& slot) const {
     }
     if (!out.grid) throw InputError(slot.file(kFile).string() + ": holds no surface");
     out.stereo = slot.note.at("stereo");
+    out.trusted_share = out.stereo.at("trusted_share");
+    out.silhouettes_kept = out.stereo.value("silhouettes_kept", 1.0);
     for (size_t u = 0; u < masks.used.size(); ++u)
         out.stereo.at("views").at(u)["name"] = shoot.views.views[masks.used[u]].name;  // photographs may be called otherwise now
     out.stereo_sheet = slot.file(kSheet);
