@@ -41,6 +41,7 @@ class FairStage {
     void refine(const Stream& stream, StageTimes& times);
 
     void move(const kernel::FairBlur& blur, bool stiff, const Stream& stream, StageTimes& times);
+    void ease(float far_vox, const Stream& stream, StageTimes& times);
     void make_distances(const Stream& stream, StageTimes& times);
     /// Waits for the device.
     size_t drop_pieces(double share, const Stream& stream, StageTimes& times);

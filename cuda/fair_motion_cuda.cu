@@ -102,6 +102,11 @@ __global__ void count_inside(const int32_t* leaf_at, int64_t places, unsigned lo
     if (threadIdx.x == 0 && count) atomicAdd(sum, static_cast<unsigned long long>(count));
 }
 
+__global__ void __launch_bounds__(kLeafVoxels) ease_leaves(const float* hull, float far, float* field) {
+    const size_t at = voxels_of(blockIdx.x) + threadIdx.x;
+    field[at] = eased(field[at], hull[at], far);
+}
+
 /// Leaves that hold some of the band, and those that lie inside; counts[0] and [1].
 __global__ void __launch_bounds__(kLeafVoxels) finish(const float* values, const int32_t* place_of, float voxel, float* to, uint32_t* active, int32_t* places,
                                                       int32_t* inside, unsigned long long* counts) {
@@ -143,6 +148,13 @@ void FairStage::move(const FairBlur& b, bool stiff, const Stream& stream, StageT
             VDBCARVE_LAUNCHED();
         }
         straighten<<<level_.leaves, kLeafVoxels, 0, s>>>(f, place_of, stiff ? twice : once, level_.hull.of.data(), level_.field.of.data());
+        VDBCARVE_LAUNCHED();
+    });
+}
+
+void FairStage::ease(float far_vox, const Stream& stream, StageTimes& times) {
+    times.measure("fair: move", stream, [&] {
+        ease_leaves<<<level_.leaves, kLeafVoxels, 0, stream.get()>>>(level_.hull.of.data(), far_vox, level_.field.of.data());
         VDBCARVE_LAUNCHED();
     });
 }

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "fair_leaves.cuh"
+#include "fair_warp.cuh"
 
 namespace vdbcarve::cuda {
 namespace {
@@ -12,7 +13,6 @@ namespace {
 using namespace kernel;
 
 constexpr unsigned kThreads = 128;
-constexpr unsigned kLookThreads = 64;  ///< lines are of very different lengths
 /// Blocks of kernels whose work is counted on the device.
 constexpr unsigned kMostBlocks = 2048;
 
@@ -50,48 +50,57 @@ __device__ void mark_stale(const FairField& f, int3 first, int c, uint32_t* stal
     if (m >= 0 && first_of(stale, static_cast<uint32_t>(m))) list[atomicAdd(count, 1u)] = static_cast<uint32_t>(m);
 }
 
-/// A thread a line; `alone` counts those that nothing is near to.
+/// A warp a line; `alone` counts those that nothing is near to.
 __device__ void look_at(FairLine* at, const FairField& f, const FairField& hull, const FairField& coarser, float grows_from, FairOpenLine* list,
                         FairCounts* counts) {
     FairLine line = *at;
-    const FairOpen open = look_along(f, hull, coarser, line);
+    const FairOpen open = look_along<FairByWarp>(f, hull, coarser, line);
+    __syncwarp();
+    if (threadIdx.x % 32 != 0) return;
     *at = line;
     if (open.place.sample < 0) return;
     list[atomicAdd(&counts->open, 1u)] = {at, open};
     if (!(open.place.value < grows_from)) atomicAdd(&counts->alone, 1u);
 }
+__device__ uint32_t warp_of_grid() { return (blockIdx.x * blockDim.x + threadIdx.x) / 32; }
+__device__ uint32_t warps_of_grid() { return gridDim.x * blockDim.x / 32; }
 
-/// Several lists of lines, in one launch: a launch takes as long as its longest line.
+/// Several lists of lines, in one launch.
 struct LineRuns {
     FairLine* lines[2 * kFairShares];
     uint32_t last[2 * kFairShares];  ///< number, of all, after a list's last
     int count;
 };
 
-__global__ void __launch_bounds__(kLookThreads)
-    look_first(LineRuns runs, FairField f, FairField hull, FairField coarser, float grows_from, FairOpenLine* list, FairCounts* counts) {
+/// A thread a line. Most are met where they last were.
+__global__ void __launch_bounds__(kThreads) list_unmet(LineRuns runs, FairField f, FairLine** unmet, FairCounts* counts) {
     uint32_t n = blockIdx.x * blockDim.x + threadIdx.x;
     if (n >= runs.last[runs.count - 1]) return;
     int run = 0;
     while (n >= runs.last[run]) ++run;
     if (run > 0) n -= runs.last[run - 1];
-    look_at(runs.lines[run] + n, f, hull, coarser, grows_from, list, counts);
+    FairLine* line = runs.lines[run] + n;
+    if (!still_met(f, *line)) unmet[atomicAdd(&counts->unmet, 1u)] = line;
+}
+
+__global__ void __launch_bounds__(kThreads)
+    look_first(FairLine* const* unmet, FairField f, FairField hull, FairField coarser, float grows_from, FairOpenLine* list, FairCounts* counts) {
+    for (uint32_t n = warp_of_grid(); n < counts->unmet; n += warps_of_grid()) look_at(unmet[n], f, hull, coarser, grows_from, list, counts);
 }
 
 /// Those that the round before left open, unless nothing has changed since; `anyway`: the host knows better.
 __global__ void __launch_bounds__(kThreads) look_again(const FairOpenLine* before, const FairCounts* counts_before, bool anyway, FairField f, FairField hull,
                                                        FairField coarser, float grows_from, FairOpenLine* list, FairCounts* counts) {
     if (!anyway && !counts_before->changed) return;
-    const uint32_t count = counts_before->open;
-    for (uint32_t n = blockIdx.x * blockDim.x + threadIdx.x; n < count; n += gridDim.x * blockDim.x)
-        look_at(before[n].line, f, hull, coarser, grows_from, list, counts);
+    for (uint32_t n = warp_of_grid(); n < counts_before->open; n += warps_of_grid())
+        if (!still_met(f, *before[n].line)) look_at(before[n].line, f, hull, coarser, grows_from, list, counts);
 }
 
 /// A warp a line, a lane a column of voxels. Each is reckoned from the field as it was, and where two meet the larger fall counts, so no order matters.
 __global__ void __launch_bounds__(kThreads) lower(const FairOpenLine* list, FairCounts* counts, FairField f, float grows_from, float along_vox,
                                                   bool to_the_hull, float* fall, uint32_t* falls, uint32_t* falls_list) {
     const uint32_t count = counts->open;
-    for (uint32_t n = (blockIdx.x * blockDim.x + threadIdx.x) / 32; n < count; n += gridDim.x * blockDim.x / 32) {
+    for (uint32_t n = warp_of_grid(); n < count; n += warps_of_grid()) {
         if (!(list[n].at.place.value < grows_from)) continue;
         const FairPull pull = pull_of(f, *list[n].line, list[n].at, along_vox, to_the_hull);
         for (int column = static_cast<int>(threadIdx.x) % 32; column < pull.columns(); column += 32)
@@ -333,9 +342,9 @@ void FairSight::look(int round, const Repair& how, const FairStage& stage, const
                     coarser = stage.coarse() ? stage.coarse()->view(stage.coarse()->field) : FairField{};
     FairOpenLine *list = open_lines_[round % 2].data(), *before = open_lines_[(round + 1) % 2].data();
     FairCounts* counts = counts_.data() + round;
+    const unsigned blocks = std::min(blocks_for(size_t{32} * lines_of(how), kThreads), kMostBlocks);
     if (round > 0) {
-        look_again<<<std::min(blocks_for(lines_of(how), kThreads), kMostBlocks), kThreads, 0, s>>>(before, counts - 1, how.anywhere, f, hull, coarser,
-                                                                                                   how.grows_from, list, counts);
+        look_again<<<blocks, kThreads, 0, s>>>(before, counts - 1, how.anywhere, f, hull, coarser, how.grows_from, list, counts);
         VDBCARVE_LAUNCHED();
         return;
     }
@@ -348,7 +357,9 @@ void FairSight::look(int round, const Repair& how, const FairStage& stage, const
             runs.lines[runs.count] = lines->items.data() + static_cast<size_t>(n) * lines->room;
             runs.last[runs.count++] = all;
         }
-    look_first<<<blocks_for(all, kLookThreads), kLookThreads, 0, s>>>(runs, f, hull, coarser, how.grows_from, list, counts);
+    list_unmet<<<blocks_for(all, kThreads), kThreads, 0, s>>>(runs, f, unmet_.data(), counts);
+    VDBCARVE_LAUNCHED();
+    look_first<<<blocks, kThreads, 0, s>>>(unmet_.data(), f, hull, coarser, how.grows_from, list, counts);
     VDBCARVE_LAUNCHED();
 }
 
@@ -378,6 +389,7 @@ void FairSight::repair(const Repair& how, const ReachAlone& reach_alone, FairSta
         FairCounts* counts = counts_.ensure(static_cast<size_t>(how.rounds));
         stream.zero(counts, static_cast<size_t>(how.rounds));
         for (auto& list : open_lines_) list.ensure(lines);
+        unmet_.ensure(lines);
         int round = 0;
         for (; round < how.rounds; ++round) {
             look(round, how, stage, stream);
@@ -454,8 +466,8 @@ void FairSight::replace_leaves(const std::vector<uint32_t>& leaves, const float*
 
 size_t FairSight::bytes() const {
     return view_.bytes() + squares_.items.bytes() + quarters_.items.bytes() + rim_samples_.items.bytes() + rim_.items.bytes() + near_.items.bytes() +
-           open_lines_[0].bytes() + open_lines_[1].bytes() + lone_.bytes() + fall_.bytes() + falls_.bytes() + stale_.bytes() + falls_list_.bytes() +
-           stale_list_.bytes() + some_.bytes() + some_values_.bytes();
+           open_lines_[0].bytes() + open_lines_[1].bytes() + unmet_.bytes() + lone_.bytes() + fall_.bytes() + falls_.bytes() + stale_.bytes() +
+           falls_list_.bytes() + stale_list_.bytes() + some_.bytes() + some_values_.bytes();
 }
 
 }  // namespace vdbcarve::cuda

@@ -31,6 +31,7 @@ struct FairSquare {
 };
 /// What a round counts, on the device.
 struct FairCounts {
+    uint32_t unmet;         ///< lines that are not met where they last were: those that the first round looks along
     uint32_t open, alone;   ///< lines; of these, those with nothing near
     uint32_t falls, stale;  ///< leaves: with voxels that are to fall; whose Values::least is to be found
     uint32_t changed;       ///< whether a voxel fell
@@ -97,6 +98,7 @@ class FairSight {
     Lines rim_, near_;
     DeviceBuffer<uint32_t> appended_;
     PinnedBuffer<uint32_t> host_appended_;
+    DeviceBuffer<kernel::FairLine*> unmet_;
     DeviceBuffer<FairOpenLine> open_lines_[2];
     DeviceBuffer<FairLoneLine> lone_;
     DeviceBuffer<FairCounts> counts_, spare_counts_;  ///< by round; and for what the host reached

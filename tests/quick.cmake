@@ -5,6 +5,8 @@ set(long_tests
   Pipeline.AddedViewsGiveWhatAllAtOnceGive
   # Six runs; the floor by itself: Caps.AMoundOnTheFloorGoesAndFeetStay, Pipeline.AFloorThatTakesALegOffIsSaid
   Pipeline.TheTableIsFoundAndWhatLiesOnItGoes
+  # Four solids at 256 voxels; Fair.IsNearerToTheObject and Fair.ThinPartsStay look at the same surface, less closely
+  Fair.WhatIsRightAlreadyStays
   # Depth by itself: Stereo.*; in the whole job: manifest
   Pipeline.ConcavitiesAreCarvedByDepth
   Pipeline.CamerasOfStereoAreRefinedByTexture

@@ -68,6 +68,7 @@ class DeviceEngine final : public FairEngine {
     size_t inside_samples() const override { return sight_.inside_samples(stream_); }
 
     void move(const kernel::FairBlur& blur, bool stiff) override { stage_.move(blur, stiff, stream_, times_); }
+    void ease(float far_vox) override { stage_.ease(far_vox, stream_, times_); }
     bool led() const override { return led_; }
     void follow(float share) override { depths_.follow(static_cast<size_t>(lattice_.shift), stage_.level(), share, stream_, times_); }
     size_t drop_pieces(double share) override { return stage_.drop_pieces(share, stream_, times_); }

@@ -37,11 +37,13 @@ void CpuEngine::aim(const SightPlan& plan, Progress& progress) {
     lines_ = std::make_unique<SightLines>(level_, coarse_.leaves() ? &coarse_ : nullptr, plan, progress);
 }
 
+void CpuEngine::ease(float far_vox) {
+    level_.for_voxels([&](size_t at) { level_.field.of[at] = kernel::eased(level_.field.of[at], level_.hull.of[at], far_vox); });
+}
+
 void CpuEngine::make_distances() {
     fairing::make_distances(level_, level_.field.of);
-    level_.for_leaves([&](size_t n) {
-        for (size_t at = n * kLeafVoxels; at < (n + 1) * kLeafVoxels; ++at) level_.field.of[at] = kernel::max_f(level_.field.of[at], level_.hull.of[at]);
-    });
+    level_.for_voxels([&](size_t at) { level_.field.of[at] = kernel::max_f(level_.field.of[at], level_.hull.of[at]); });
 }
 
 }  // namespace vdbcarve::fairing

@@ -32,6 +32,7 @@ class CpuEngine final : public FairEngine {
     size_t open() const override { return lines_->open(); }
     size_t inside_samples() const override { return lines_->inside_samples(); }
     void move(const kernel::FairBlur& blur, bool stiff) override { fairing::move(level_, blur, stiff); }
+    void ease(float far_vox) override;
     bool led() const override { return evidence_.has_value(); }
     void follow(float share) override { evidence_->follow(level_, share); }
     size_t drop_pieces(double share) override { return fairing::drop_pieces(level_, share); }

@@ -17,21 +17,25 @@ namespace fairing {
 
 namespace {
 
-/// The longest side has about so many voxels where the motion happens: large moves are cheap where voxels are large.
-constexpr double kCoarsest_vox = 128;
+/// The longest side has about so many voxels, 70 to 140, where the motion happens: large moves are cheap where voxels are large.
+constexpr double kCoarsest_vox = 99;
 /// How a level moves: steps of such a width, between which lines of sight pull back what lies so many voxels along them.
 struct Motion {
     double width_vox;
     bool stiff;
     float along_vox;
     float follow;  ///< of the way to the depths, a step
+    bool ends;     ///< the level: the last step does not follow the depths, so that what is left is smooth
 };
 /// Area shrinks; then ridges where lines pulled go; then what repairs left is spread.
-constexpr Motion kShrink{1.5, false, 2.45f, 1.f}, kFair{1.5, true, 2.45f, 1.f}, kSpread{1.2, true, 3.f, 0.f};
-/// Where depths lead, noise of theirs is spread: wider, and after the last step they are not asked.
-constexpr Motion kSpreadLed{1.8, true, 3.f, 0.7f};
-constexpr int kFinerSteps = 3, kFairSteps = 12, kSpreadSteps = 3, kSpreadStepsLed = 5;
-constexpr int kRoundsBetween = 2, kRoundsAtTheEnd = 100;
+constexpr Motion kShrink{1.5, false, 2.45f, 1.f, false}, kFair{1.5, true, 2.45f, 1.f, false}, kSpread{1.2, true, 3.f, 0.f, true};
+/// Where depths lead, noise of theirs is spread, too: wider.
+constexpr Motion kSpreadLed{1.8, true, 3.f, 0.7f, true};
+constexpr int kFinerSteps = 3, kFairSteps = 20, kSpreadSteps = 3, kSpreadStepsLed = 5;
+/// kernel::eased(), in between_contours_vox(): that of the hull, and as much of the stretched surface. At most such a share of the longest side, for parts are
+/// less round than the whole is large; and distances are not known much farther than the band.
+constexpr double kEase = 2, kMostEase = 0.01, kMostEase_vox = 2.8;
+constexpr int kRoundsBetween = 2, kRoundsAtTheEnd = 1000;
 /// All lines of the inside are asked every so many steps; between, those that were not this deep.
 constexpr int kAskAll = 20;
 constexpr float kSafe_vox = -2.f;
@@ -49,13 +53,12 @@ kernel::FairBlur blur_of(double width_vox) {
     return out;
 }
 
-/// `ends`: the level, so that what is left is smooth.
-void steps(FairEngine& engine, int count, const Motion& motion, bool ends, Progress& progress) {
+void steps(FairEngine& engine, int count, const Motion& motion, Progress& progress) {
     const kernel::FairBlur blur = blur_of(motion.width_vox);
     for (int n = 1; n <= count; ++n) {
         progress.check();
         engine.move(blur, motion.stiff);
-        if (engine.led() && (n < count || !ends)) engine.follow(motion.follow);
+        if (engine.led() && (n < count || !motion.ends)) engine.follow(motion.follow);
         if (n % kAskAll == 0) engine.find_near(kSafe_vox, false);
         engine.repair({kRoundsBetween, motion.along_vox, false, static_cast<size_t>(n)});
         progress.step();
@@ -75,10 +78,7 @@ size_t tidy(FairEngine& engine) {
     return dropped;
 }
 
-}  // namespace
-
-namespace {
-
+double longest_vox(const LeafLattice& lattice) { return 8.0 * *std::max_element(lattice.size.begin(), lattice.size.end()) - 16; }
 double voxel_volume(const openvdb::FloatGrid& grid) { return std::pow(grid.voxelSize()[0], 3); }
 
 /// What is left in the end.
@@ -103,8 +103,7 @@ FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std
         out.volume = out.hull_volume;
         return out;
     }
-    const std::array<int, 3> size = engine.lattice().size;
-    double longest = 8.0 * *std::max_element(size.begin(), size.end()) - 16;
+    double longest = longest_vox(engine.lattice());
     size_t levels = 1;
     // Depths carve deep, and only the coarsest level has values all over the inside when it was made from a finer one.
     for (; longest > std::sqrt(2.0) * kCoarsest_vox || (levels == 1 && engine.led()); longest /= 2, ++levels)
@@ -120,9 +119,13 @@ FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std
         SightPlan plan = plan_sight(engine.lattice(), hull.transform(), views, 0, at == 0);
         engine.aim(plan, progress);
         engine.find_near(kSafe_vox, false);
-        steps(engine, is_first ? first_steps : kFinerSteps, kShrink, false, progress);
-        if (is_first) steps(engine, kFairSteps, kFair, false, progress);
-        steps(engine, spread_steps, engine.led() ? kSpreadLed : kSpread, true, progress);
+        steps(engine, is_first ? first_steps : kFinerSteps, kShrink, progress);
+        if (is_first) steps(engine, kFairSteps, kFair, progress);
+        if (!engine.led()) {  // depths know better than the hull
+            const double round_vox = kEase * between_contours_vox(engine.lattice(), hull.transform(), views);
+            engine.ease(static_cast<float>(std::min({round_vox, kMostEase * longest_vox(engine.lattice()), kMostEase_vox})));
+        }
+        steps(engine, spread_steps, engine.led() ? kSpreadLed : kSpread, progress);
         out.pieces_dropped = tidy(engine);
         progress.step();
         if (at > 0) {

@@ -62,6 +62,8 @@ class FairEngine {
     /// One step of motion: a Gaussian blur of the clipped distances, then kernel::straightened. `stiff`: what the blur takes away is blurred, too, and put
     /// back: ridges go, and what is smooth stays where it is (motion by how curvature changes instead of by curvature).
     virtual void move(const kernel::FairBlur& blur, bool stiff) = 0;
+    /// kernel::eased(), everywhere.
+    virtual void ease(float far_vox) = 0;
     /// Whether depths lead the surface.
     virtual bool led() const { return false; }
     /// Moves the field so much of the way to where they see the surface, by how sure they are, and not below the hull.

@@ -306,30 +306,27 @@ Level carried_over(const Level& fine, const Level& coarse) {
 }
 
 Level with_field(const Level& hull, const openvdb::FloatGrid& surface) {
+    const Level moved = level_of(surface);
+    const FairField bound = hull.view(hull.hull), field = moved.view(moved.hull);
     Level out;
     out.lo = hull.lo;
     out.size = hull.size;
     out.leaf_at.assign(hull.leaf_at.size(), kOutsideTile);
-    const auto tree = surface.getConstAccessor();
     out.each_place([&](size_t p, int x, int y, int z) {
-        const Coord o(8 * x, 8 * y, 8 * z);
-        if (hull.leaf_at[p] >= 0 || tree.probeConstLeaf(o)) out.leaf_at[p] = 0;
-        else if (hull.leaf_at[p] == kInsideTile && tree.getValue(o) < 0.f) out.leaf_at[p] = kInsideTile;
+        const int32_t there = field.leaf(8 * x, 8 * y, 8 * z);
+        if (hull.leaf_at[p] >= 0 || there >= 0) out.leaf_at[p] = 0;
+        else if (hull.leaf_at[p] == kInsideTile && there == kInsideTile) out.leaf_at[p] = kInsideTile;
     });
     number_leaves(out);
     out.hull.of.resize(out.leaves() * kLeafVoxels);
     out.field.of.resize(out.leaves() * kLeafVoxels);
-    const FairField from = hull.view(hull.hull);
-    const auto voxel = static_cast<float>(surface.voxelSize()[0]);
     out.for_leaves([&](size_t n) {
         const Coord o = out.origin[n];
-        const auto* leaf = surface.tree().probeConstLeaf(o);
-        const float tile = leaf ? 0.f : surface.tree().getValue(o);
-        for (openvdb::Index q = 0; q < kLeafVoxels; ++q) {
-            const size_t at = n * kLeafVoxels + q;
-            const int i = static_cast<int>(q);
-            out.hull.of[at] = from.at(o.x() + (i >> 6), o.y() + (i >> 3 & 7), o.z() + (i & 7));
-            out.field.of[at] = kernel::max_f(kernel::clamp_f((leaf ? leaf->getValue(q) : tile) / voxel, -kBand, kBand), out.hull.of[at]);
+        for (int q = 0; q < static_cast<int>(kLeafVoxels); ++q) {
+            const size_t at = n * kLeafVoxels + static_cast<size_t>(q);
+            const int i = o.x() + (q >> 6), j = o.y() + (q >> 3 & 7), k = o.z() + (q & 7);
+            out.hull.of[at] = bound.at(i, j, k);
+            out.field.of[at] = kernel::max_f(field.at(i, j, k), out.hull.of[at]);
         }
     });
     find_least(out, out.hull);

@@ -45,6 +45,12 @@ struct Level : LeafLattice {
     void for_leaves(const Work& work) const {
         for_each_of(leaves(), work);
     }
+    template <class Work>
+    void for_voxels(const Work& work) const {
+        for_leaves([&](size_t n) {
+            for (size_t at = n * kLeafVoxels; at < (n + 1) * kLeafVoxels; ++at) work(at);
+        });
+    }
     /// work(n) for n below `count`, by all threads.
     template <class Work>
     static void for_each_of(size_t count, const Work& work) {

@@ -100,6 +100,7 @@ SightLines::Round SightLines::look(const std::vector<FairLine*>& lines, float gr
     std::vector<Round> parts((lines.size() + kLines - 1) / kLines);
     tbb::parallel_for(size_t{0}, parts.size(), [&](size_t p) {
         for (size_t n = p * kLines; n < std::min(lines.size(), (p + 1) * kLines); ++n) {
+            if (kernel::still_met(f, *lines[n])) continue;
             const FairOpen open = kernel::look_along(f, hull, coarse, *lines[n]);
             if (open.place.sample >= 0) (open.place.value < grows_from ? parts[p].beside : parts[p].alone).push_back({lines[n], open});
         }

@@ -2,6 +2,7 @@
 #include "fair/sight_plan.h"
 
 #include <algorithm>
+#include <cmath>
 
 namespace vdbcarve::fairing {
 
@@ -38,11 +39,15 @@ FairEye eye_of(const Camera& camera, int scale, const Vec3d& origin, double voxe
     return e;
 }
 
-/// Pixels across a voxel in the middle of the lattice, median over views.
-double pixels_per_voxel(const LeafLattice& lattice, const Vec3d& origin, double voxel, const std::vector<FairView>& views) {
+Vec3d middle_of(const LeafLattice& lattice, const Vec3d& origin, double voxel) {
     Vec3d middle;
     for (size_t a = 0; a < 3; ++a) middle[static_cast<int>(a)] = 8 * (lattice.lo[a] + 0.5 * lattice.size[a]);
-    middle = origin + voxel * middle;
+    return origin + voxel * middle;
+}
+
+/// Pixels across a voxel in the middle of the lattice, median over views.
+double pixels_per_voxel(const LeafLattice& lattice, const Vec3d& origin, double voxel, const std::vector<FairView>& views) {
+    const Vec3d middle = middle_of(lattice, origin, voxel);
     std::vector<double> px;
     for (const FairView& v : views) {
         const Intrinsics& k = v.camera.intrinsics;
@@ -70,6 +75,27 @@ SightPlan plan_sight(const LeafLattice& lattice, const openvdb::math::Transform&
     out.fields.scale = out.scale;
     out.fields.reach_samples = kReach_samples;
     return out;
+}
+
+double between_contours_vox(const LeafLattice& lattice, const openvdb::math::Transform& finest, const std::vector<FairView>& views) {
+    const double voxel = finest.voxelSize()[0] * (1 << lattice.shift);
+    const Vec3d middle = middle_of(lattice, first_voxel(finest, lattice.shift), voxel);
+    std::vector<Vec3d> ways;
+    for (const FairView& v : views)
+        ways.push_back(v.camera.intrinsics.orthographic ? Vec3d(v.camera.camera_from_world.rotation.row(2))
+                                                        : Vec3d((middle - v.camera.centre_world()).normalized()));
+    const double same = std::cos(0.02);
+    std::vector<double> angles;  // of every view to its nearest neighbour
+    for (size_t a = 0; a < ways.size(); ++a) {
+        double most = -2;
+        for (size_t b = 0; b < ways.size(); ++b)
+            if (const double cosine = ways[a].dot(ways[b]); cosine < same) most = std::max(most, cosine);
+        if (most > -2) angles.push_back(std::acos(std::max(most, -1.0)));
+    }
+    if (angles.empty()) return 0;
+    std::nth_element(angles.begin(), angles.begin() + static_cast<long>(angles.size() / 2), angles.end());
+    const double half = 0.5 * angles[angles.size() / 2], radius = 4.0 * *std::max_element(lattice.size.begin(), lattice.size.end()) - 8;
+    return radius * (1 / std::cos(half) - 1);
 }
 
 kernel::FairMask mask_of(const DistanceField& header, const int16_t* silhouette, const int16_t* ignored) {

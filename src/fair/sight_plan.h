@@ -37,6 +37,10 @@ struct SightPlan {
 /// `scale` 0: samples about as large as a voxel of the lattice. `exact`: where that is a pixel. The masks are borrowed from the views.
 SightPlan plan_sight(const LeafLattice& lattice, const openvdb::math::Transform& finest, const std::vector<FairView>& views, int scale, bool exact);
 
+/// How far, in voxels of a level, the hull of a ball as large as the lattice stands out between the contours of two neighbouring views. Views from (nearly) the
+/// same place count as one. 0 without two places.
+double between_contours_vox(const LeafLattice& lattice, const openvdb::math::Transform& finest, const std::vector<FairView>& views);
+
 /// Of a view's distances, whose samples lie wherever.
 kernel::FairMask mask_of(const DistanceField& header, const int16_t* silhouette, const int16_t* ignored);
 

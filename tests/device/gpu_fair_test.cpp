@@ -40,16 +40,6 @@ void cross_by_bar(SyntheticScene& scene) {
     }
 }
 
-/// Speckles, in which views do not agree.
-void disturb(SyntheticScene& scene) {
-    for (Mask& m : scene.masks) {
-        Image8& c = m.coverage;
-        for (int y = 0; y < c.height; ++y)
-            for (int x = 0; x < c.width; ++x)
-                if ((x * 7 + y * 3) % 11 < 3 && (x / 5 + y / 5) % 3 == 0) c.at(x, y) = 255;
-    }
-}
-
 std::vector<FairCase> fair_cases() {
     SyntheticSpec flat = small_spec("boxes", 8, 160, 120);
     flat.rig.orthographic = true;
@@ -58,7 +48,7 @@ std::vector<FairCase> fair_cases() {
             {"two levels, samples of two pixels", small_spec("cup", 6, 400, 300), 200},
             {"ignored below", small_spec("cup", 8, 160, 120), 160, 0.06, ignore_below},
             {"bars", small_spec("torus", 10, 160, 120), 90, 0.06, cross_by_bar},
-            {"speckles", small_spec("ellipsoids", 5, 96, 72), 64, 0.15, disturb, 2},
+            {"speckles", small_spec("ellipsoids", 5, 96, 72), 64, 0.15, add_speckles, 2},
             {"orthographic", flat, 90}};
 }
 

@@ -50,6 +50,16 @@ inline SyntheticSpec small_spec(const std::string& object, int views, int width 
     return spec;
 }
 
+/// Speckles on masks, in which views do not agree.
+inline void add_speckles(SyntheticScene& scene) {
+    for (Mask& m : scene.masks) {
+        Image8& c = m.coverage;
+        for (int y = 0; y < c.height; ++y)
+            for (int x = 0; x < c.width; ++x)
+                if ((x * 7 + y * 3) % 11 < 3 && (x / 5 + y / 5) % 3 == 0) c.at(x, y) = 255;
+    }
+}
+
 /// Bounds around the truth, enlarged by a share, and a lattice over their longest side.
 inline CarveOptions options_for(const Shoot& s, int resolution, double margin = 0.1) {
     CarveOptions o;

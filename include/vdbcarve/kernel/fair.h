@@ -224,6 +224,33 @@ VDBCARVE_HD int sample_beyond(const FairRay& r, const FairCell& c, int n, int32_
     return next < n ? next : n - 1;
 }
 
+/// A field along a line of sight. `number`: of the leaf, or tile, that holds sample n's cell c. Searches below read fields through such a look, so that a warp
+/// can read ahead (cuda/fair_warp.cuh) and find the same.
+struct FairLook {
+    const FairField& field;
+    const FairRay& ray;
+
+    VDBCARVE_HD int32_t number(int, const FairCell& c) { return field.leaf(c.i, c.j, c.k); }
+    VDBCARVE_HD float least(int, int32_t number) { return field.least_in(number); }
+    VDBCARVE_HD float value(int, int32_t number, const FairCell& c) { return number < 0 ? FairField::tile(number) : value_in(field, number, c); }
+};
+/// A coarser level's field along a line of sight, in voxels of the level at hand.
+struct FairCoarserLook {
+    const FairField& coarser;
+    const FairRay& ray;
+
+    VDBCARVE_HD float value(int n) {
+        if (!coarser.leaf_at) return kFairBand_vox;
+        const float t = (static_cast<float>(n) + 0.5f) * kSightStep_vox;
+        return coarser_value(coarser, ray.from[0] + t * ray.along[0], ray.from[1] + t * ray.along[1], ray.from[2] + t * ray.along[2]);
+    }
+};
+/// Reads a sample when it is asked for.
+struct FairOneByOne {
+    using Look = FairLook;
+    using CoarserLook = FairCoarserLook;
+};
+
 /// How many samples further the field can be lower by 1: it changes by less than 2 along a voxel, the hull, which holds distances, by less than 1.25.
 inline constexpr float kFieldSamples = 1.f, kHullSamples = 1.6f;
 /// The next sample that can be so much lower.
@@ -233,17 +260,19 @@ VDBCARVE_HD int sample_lower(int n, float by, float samples) {
 }
 
 /// The least value on the way and the sample that has it; stops at the first that is `enough`. Nothing that is not below `most` counts.
-VDBCARVE_HD float least_below(const FairField& f, const FairRay& r, float samples, float most, float enough, int& at) {
+template <class Look>
+VDBCARVE_HD float least_below(Look& look, float samples, float most, float enough, int& at) {
+    const FairRay& r = look.ray;
     float best = most;
     at = 0;
     for (int n = 0; n <= r.last;) {
         const FairCell c = sample_cell(r, n);
-        const int32_t number = f.leaf(c.i, c.j, c.k);
-        if (f.least_in(number) >= best) {
+        const int32_t number = look.number(n, c);
+        if (look.least(n, number) >= best) {
             n = sample_beyond(r, c, n, number);
             continue;
         }
-        const float value = number < 0 ? FairField::tile(number) : value_in(f, number, c);
+        const float value = look.value(n, number, c);
         if (value < best) {
             best = value;
             at = n;
@@ -255,21 +284,27 @@ VDBCARVE_HD float least_below(const FairField& f, const FairRay& r, float sample
 }
 
 /// The same without a bound, kFairBand_vox at most. `guess`: about what it will be; most of the way is passed over more quickly then.
+template <class Look>
+VDBCARVE_HD float least_on(Look& look, float samples, float guess, float enough, int& at) {
+    const float most = min_f(guess + 1.f, kFairBand_vox), least = least_below(look, samples, most, enough, at);
+    return least < most || most >= kFairBand_vox ? least : least_below(look, samples, kFairBand_vox, enough, at);
+}
 VDBCARVE_HD float least_on(const FairField& f, const FairRay& r, float samples, float guess, float enough, int& at) {
-    const float most = min_f(guess + 1.f, kFairBand_vox), least = least_below(f, r, samples, most, enough, at);
-    return least < most || most >= kFairBand_vox ? least : least_below(f, r, samples, kFairBand_vox, enough, at);
+    FairLook look{f, r};
+    return least_on(look, samples, guess, enough, at);
 }
 
 /// The sample of first..last, or last..first, that comes first on the way (step 1 or -1) and where the hull is at most `deep`; `last` + step: none.
-VDBCARVE_HD int first_deep(const FairField& hull, const FairRay& r, int first, int last, int step, float deep) {
+template <class Look>
+VDBCARVE_HD int first_deep(Look& hull, int first, int last, int step, float deep) {
     for (int n = first; step > 0 ? n <= last : n >= last;) {
-        const FairCell c = sample_cell(r, n);
-        const int32_t number = hull.leaf(c.i, c.j, c.k);
-        if (hull.least_in(number) > deep) {
-            n = sample_beyond(r, c, n, number, step);
+        const FairCell c = sample_cell(hull.ray, n);
+        const int32_t number = hull.number(n, c);
+        if (hull.least(n, number) > deep) {
+            n = sample_beyond(hull.ray, c, n, number, step);
             continue;
         }
-        const float value = number < 0 ? FairField::tile(number) : value_in(hull, number, c);
+        const float value = hull.value(n, number, c);
         if (value <= deep) return n;
         n += step * (sample_lower(n, value - deep, kHullSamples) - n);
     }
@@ -277,10 +312,12 @@ VDBCARVE_HD int first_deep(const FairField& hull, const FairRay& r, int first, i
 }
 /// A first and a last sample between which lies all of the line where the hull is at most `deep`: the surface lies above the hull, so it can reach `deep`
 /// nowhere else. Lines graze the hull for long; a little more than needed is found sooner.
-VDBCARVE_HD void deep_span(const FairField& hull, const FairRay& r, float deep, int& first, int& last) {
+template <class Look>
+VDBCARVE_HD void deep_span(Look& hull, float deep, int& first, int& last) {
+    const int end = hull.ray.last;
     deep += 0.25f;
-    first = first_deep(hull, r, 0, r.last, 1, deep);
-    last = first > r.last ? -1 : first_deep(hull, r, r.last, first, -1, deep);
+    first = first_deep(hull, 0, end, 1, deep);
+    last = first > end ? -1 : first_deep(hull, end, first, -1, deep);
 }
 
 /// Where on a line of sight the surface would have to move least to fall to `deep`, or has: the search starts from sample `at`, which counts as such a place.
@@ -288,31 +325,28 @@ struct NearestPlace {
     float value;  ///< of the field there; beyond its band by the coarser level's
     int sample;
 };
-VDBCARVE_HD NearestPlace nearest_place(const FairField& f, const FairField& hull, const FairField& coarser, const FairRay& r, int first, int last, float deep,
-                                       int at) {
+template <class Look, class CoarserLook>
+VDBCARVE_HD NearestPlace nearest_place(Look& field, Look& hull, CoarserLook& coarser, int first, int last, float deep, int at) {
+    const FairRay& r = field.ray;
     const auto value_at = [&](int32_t number, const FairCell& c, int n, float near) {
-        if (near < kFairBand_vox - 1e-3f) return near;
-        const float t = (static_cast<float>(n) + 0.5f) * kSightStep_vox;
-        const float far =
-            coarser.leaf_at ? coarser_value(coarser, r.from[0] + t * r.along[0], r.from[1] + t * r.along[1], r.from[2] + t * r.along[2]) : kFairBand_vox;
-        return max_f(kFairBand_vox, far) + 0.01f * value_in(hull, number, c);
+        return near < kFairBand_vox - 1e-3f ? near : max_f(kFairBand_vox, coarser.value(n)) + 0.01f * hull.value(n, number, c);
     };
     const FairCell start = sample_cell(r, at);
-    const int32_t there = f.leaf(start.i, start.j, start.k);
-    NearestPlace best{there < 0 ? 2 * FairField::tile(there) : value_at(there, start, at, value_in(f, there, start)), at};
+    const int32_t there = field.number(at, start);
+    NearestPlace best{there < 0 ? 2 * FairField::tile(there) : value_at(there, start, at, field.value(at, there, start)), at};
     for (int n = first; n <= last && best.value > deep;) {
         const FairCell c = sample_cell(r, n);
-        const int32_t number = f.leaf(c.i, c.j, c.k);
-        if (number < 0 || hull.least[number] > deep || (best.value < kFairBand_vox && f.least[number] >= best.value)) {
+        const int32_t number = field.number(n, c);
+        if (number < 0 || hull.least(n, number) > deep || (best.value < kFairBand_vox && field.least(n, number) >= best.value)) {
             n = sample_beyond(r, c, n, number);
             continue;
         }
-        const float near = value_in(f, number, c);
+        const float near = field.value(n, number, c);
         if (best.value < kFairBand_vox && near >= best.value) {
             n = sample_lower(n, near - best.value, kFieldSamples);
             continue;
         }
-        const float depth = value_in(hull, number, c);
+        const float depth = hull.value(n, number, c);
         if (depth > deep) {
             n = sample_lower(n, depth - deep, kHullSamples);
             continue;
@@ -357,7 +391,8 @@ VDBCARVE_HD bool rim_line(const FairEye& e, const FairField& hull, int x, int y,
         line.must = max_f(least, kFairCovered_vox) + kFairSlack_vox;
         line.keep = min_f(line.keep, line.must);
     }
-    deep_span(hull, line.ray, line.must < kFairBand_vox ? line.must : line.keep, line.first, line.last);
+    FairLook look{hull, line.ray};
+    deep_span(look, line.must < kFairBand_vox ? line.must : line.keep, line.first, line.last);
     line.settled = 1;
     return true;
 }
@@ -408,28 +443,35 @@ struct FairOpen {
     NearestPlace place;
     float target;
 };
+/// Whether a line is met where it last was, or cannot be.
+VDBCARVE_HD bool still_met(const FairField& f, const FairLine& line) {
+    if (line.first > line.last) return true;
+    const FairCell c = sample_cell(line.ray, line.met);
+    const int32_t number = f.leaf(c.i, c.j, c.k);
+    return (number < 0 ? FairField::tile(number) : value_in(f, number, c)) <= line.keep;
+}
+/// For lines that are not still_met().
+template <class Reads = FairOneByOne>
 VDBCARVE_HD FairOpen look_along(const FairField& f, const FairField& hull, const FairField& coarser, FairLine& line) {
     const FairOpen met{{0.f, -1}, 0.f};
-    if (line.first > line.last) return met;
-    const FairCell before = sample_cell(line.ray, line.met);
-    const int32_t number = f.leaf(before.i, before.j, before.k);
-    if ((number < 0 ? FairField::tile(number) : value_in(f, number, before)) <= line.keep) return met;
+    typename Reads::Look field_look{f, line.ray}, hull_look{hull, line.ray};
+    typename Reads::CoarserLook coarser_look{coarser, line.ray};
     if (!line.settled) {  // what the hull allows is asked of the few that need it
         line.settled = 1;
-        const float least = least_on(hull, line.ray, kHullSamples, 0.f, line.keep, line.met);
+        const float least = least_on(hull_look, kHullSamples, 0.f, line.keep, line.met);
         line.keep = max_f(least, line.keep) + kFairSlack_vox;
         line.must = max_f(least, line.must) + kFairSlack_vox;
         line.first = line.ray.last + 1;
         line.last = -1;
         if (line.keep >= kFairBand_vox) return met;
-        deep_span(hull, line.ray, line.must, line.first, line.last);
+        deep_span(hull_look, line.must, line.first, line.last);
     }
-    NearestPlace place = nearest_place(f, hull, coarser, line.ray, line.first, line.last, line.keep, line.met);
+    NearestPlace place = nearest_place(field_look, hull_look, coarser_look, line.first, line.last, line.keep, line.met);
     line.met = place.sample;
     if (place.value <= line.keep) return met;
     if (place.value <= kFairNearContour_vox || line.must <= line.keep) return {place, line.keep};
     if (line.must >= kFairBand_vox || place.value <= line.must) return met;
-    place = nearest_place(f, hull, coarser, line.ray, line.first, line.last, line.must, line.met);
+    place = nearest_place(field_look, hull_look, coarser_look, line.first, line.last, line.must, line.met);
     return place.value <= line.must ? met : FairOpen{place, line.must};
 }
 

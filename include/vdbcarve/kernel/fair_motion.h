@@ -36,6 +36,15 @@ VDBCARVE_HD float straightened(const At& at, float hull) {
     return max_f(clamp_f(at(0, 0, 0) / max_f(slope, 0.3f), -kFairBand_vox, kFairBand_vox), hull);
 }
 
+/// Between contours the hull stands out of a round object by as much as a surface that is stretched between them lies too deep. The nearer the two are, the
+/// more of the way the surface goes back to the hull, whose ridges go when it is smoothed next; where they are `far` or more apart nothing is round, and it
+/// stays.
+VDBCARVE_HD float eased(float value, float hull, float far) {
+    const float known = clamp_f(hull + kFairBand_vox, 0.f, 1.f);  // how deep the hull is beyond its band is not
+    const float apart = value - hull, part = apart / far, rest = 1.f - part * part;
+    return rest > 0.f ? value - known * (rest * rest) * apart : value;
+}
+
 /// The mean of 2^3 voxels, given their sum, in voxels twice as wide.
 VDBCARVE_HD float coarser_hull(float sum) { return sum == 0.f ? kLeastDistance : sum * (1.f / 16); }
 
