@@ -78,7 +78,6 @@ size_t tidy(FairEngine& engine) {
     return dropped;
 }
 
-double longest_vox(const LeafLattice& lattice) { return 8.0 * *std::max_element(lattice.size.begin(), lattice.size.end()) - 16; }
 double voxel_volume(const openvdb::FloatGrid& grid) { return std::pow(grid.voxelSize()[0], 3); }
 
 /// What is left in the end.
@@ -103,7 +102,7 @@ FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std
         out.volume = out.hull_volume;
         return out;
     }
-    double longest = longest_vox(engine.lattice());
+    double longest = engine.lattice().longest_vox();
     size_t levels = 1;
     // Depths carve deep, and only the coarsest level has values all over the inside when it was made from a finer one.
     for (; longest > std::sqrt(2.0) * kCoarsest_vox || (levels == 1 && engine.led()); longest /= 2, ++levels)
@@ -123,7 +122,7 @@ FairResult fair_by(FairEngine& engine, const openvdb::FloatGrid& hull, const std
         if (is_first) steps(engine, kFairSteps, kFair, progress);
         if (!engine.led()) {  // depths know better than the hull
             const double round_vox = kEase * between_contours_vox(engine.lattice(), hull.transform(), views);
-            engine.ease(static_cast<float>(std::min({round_vox, kMostEase * longest_vox(engine.lattice()), kMostEase_vox})));
+            engine.ease(static_cast<float>(std::min({round_vox, kMostEase * engine.lattice().longest_vox(), kMostEase_vox})));
         }
         steps(engine, spread_steps, engine.led() ? kSpreadLed : kSpread, progress);
         out.pieces_dropped = tidy(engine);

@@ -94,8 +94,7 @@ double between_contours_vox(const LeafLattice& lattice, const openvdb::math::Tra
     }
     if (angles.empty()) return 0;
     std::nth_element(angles.begin(), angles.begin() + static_cast<long>(angles.size() / 2), angles.end());
-    const double half = 0.5 * angles[angles.size() / 2], radius = 4.0 * *std::max_element(lattice.size.begin(), lattice.size.end()) - 8;
-    return radius * (1 / std::cos(half) - 1);
+    return 0.5 * lattice.longest_vox() * (1 / std::cos(0.5 * angles[angles.size() / 2]) - 1);
 }
 
 kernel::FairMask mask_of(const DistanceField& header, const int16_t* silhouette, const int16_t* ignored) {

@@ -4,6 +4,7 @@
 
 #include <openvdb/math/Transform.h>
 
+#include <algorithm>
 #include <array>
 #include <vector>
 
@@ -19,6 +20,8 @@ struct LeafLattice {
     int shift = 0;                    ///< its voxels are 2^shift of the finest ones wide
     std::array<int, 3> lo{}, size{};  ///< leaves
 
+    /// Of the hull's longest side: the leaves at both ends hold little more than its band.
+    double longest_vox() const { return 8.0 * *std::max_element(size.begin(), size.end()) - 16; }
     size_t places() const { return static_cast<size_t>(size[0]) * static_cast<size_t>(size[1]) * static_cast<size_t>(size[2]); }
     size_t place(int x, int y, int z) const {
         return (static_cast<size_t>(x - lo[0]) * static_cast<size_t>(size[1]) + static_cast<size_t>(y - lo[1])) * static_cast<size_t>(size[2]) +
