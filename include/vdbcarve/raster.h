@@ -38,6 +38,13 @@ PhotoAgreement compare_photo(ImageView<uint8_t> rendered_rgba, const PhotoView& 
 /// 255 where the ray through the pixel centre hits the mesh.
 Image8 silhouette_of(const Mesh& mesh, const Camera& camera);
 
+/// `hit`: silhouette_of(). `soft`: the same, with the contour where it runs within pixels: those with a pixel around that differs have the share that the
+/// mesh covers, 0..255, from 8 x 8 rays.
+struct SoftSilhouette {
+    Image8 hit, soft;
+};
+SoftSilhouette soft_silhouette_of(const Mesh& mesh, const Camera& camera);
+
 /// Share of each pixel covered by the mesh, 0..255, from samples x samples rays a pixel.
 Image8 coverage_of(const Mesh& mesh, const Camera& camera, int samples);
 
@@ -58,6 +65,8 @@ struct SilhouetteAgreement {
     std::vector<std::array<int, 2>> thin_lost;  ///< the lost pixels of the skeleton
 };
 SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask);
+/// The same for a mesh. Contours are compared to a fraction of a pixel: pixel centres alone are half a pixel off, whatever the mesh is.
+SilhouetteAgreement compare_silhouettes(const Mesh& mesh, const Camera& camera, const MaskView& mask);
 
 /// One picture of up to 12 evenly chosen views: the mesh, shaded, over the darkened photograph; red where the
 /// mask is missed, blue where the mesh sticks out, yellow where thin parts are lost, the largest missed piece framed. `photos` may hold empty images.

@@ -165,7 +165,7 @@ std::optional<Hull> hull_of(const Views& views, const std::vector<MaskView>& see
     }
     out.agreements.resize(seen.size());
     tbb::parallel_for(size_t{0}, seen.size(), [&](size_t i) {
-        if (!seen[i].coverage.empty()) out.agreements[i] = compare_silhouettes(silhouette_of(out.mesh, cameras[i]), seen[i]);
+        if (!seen[i].coverage.empty()) out.agreements[i] = compare_silhouettes(out.mesh, cameras[i], seen[i]);
     });
     std::vector<double> ious;
     for (size_t i = 0; i < seen.size(); ++i)

@@ -17,10 +17,6 @@ namespace {
 /// Contours farther apart than this are as bad as can be.
 constexpr int kContourReach_px = 100;
 
-}  // namespace
-
-namespace {
-
 /// Left, top, right, bottom (the last ones outside) of what is object in either, with a border of two pixels where the image has one.
 std::array<int, 4> window_of(ImageView<uint8_t> a, ImageView<uint8_t> b) {
     std::array<int, 4> box{a.width, a.height, 0, 0};
@@ -39,15 +35,14 @@ Image8 cropped(ImageView<uint8_t> image, const std::array<int, 4>& box) {
     return out;
 }
 
-SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, const MaskView& mask);
+SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, ImageView<uint8_t> soft, const MaskView& mask);
 
-}  // namespace
-
-SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask) {
+/// `soft`: `hit`, with the contour where it runs within pixels.
+SilhouetteAgreement compare(ImageView<uint8_t> hit, ImageView<uint8_t> soft, const MaskView& mask) {
     // Beside both silhouettes there is nothing to compare, and photographs are mostly that.
     const std::array<int, 4> box = window_of(hit, mask.coverage);
     const Image8 coverage = cropped(mask.coverage, box), ignore = cropped(mask.ignore, box);
-    SilhouetteAgreement out = compare_whole(cropped(hit, box), {coverage, ignore});
+    SilhouetteAgreement out = compare_whole(cropped(hit, box), cropped(soft, box), {coverage, ignore});
     if (out.missed_px > 0)
         for (size_t side = 0; side < 4; ++side) out.missed_blob[side] += box[side % 2];
     // Nothing in common: as far apart as the picture is wide.
@@ -56,9 +51,7 @@ SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& 
     return out;
 }
 
-namespace {
-
-SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, const MaskView& mask) {
+SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, ImageView<uint8_t> soft, const MaskView& mask) {
     SilhouetteAgreement out;
     const int width = hit.width, height = hit.height;
     size_t both = 0, either = 0;
@@ -95,7 +88,7 @@ SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, const MaskView& mask) 
     }
     if (both == 0) return out;
     // Where either contour runs, the two signed distances differ by the contours' displacement there.
-    const ImageF sa = signed_distance(hit, kContourReach_px), sb = signed_distance(mask.coverage, kContourReach_px);
+    const ImageF sa = signed_distance(soft, kContourReach_px), sb = signed_distance(mask.coverage, kContourReach_px);
     std::vector<float> apart;
     for (int y = 1; y + 1 < height; ++y)
         for (int x = 1; x + 1 < width; ++x) {
@@ -111,6 +104,13 @@ SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, const MaskView& mask) 
 }
 
 }  // namespace
+
+SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask) { return compare(hit, hit, mask); }
+
+SilhouetteAgreement compare_silhouettes(const Mesh& mesh, const Camera& camera, const MaskView& mask) {
+    const SoftSilhouette seen = soft_silhouette_of(mesh, camera);
+    return compare(seen.hit, seen.soft, mask);
+}
 
 Image8 mask_overlay(ImageView<uint8_t> photo, const Mask& mask) {
     constexpr int kMostWidth = 1024;

@@ -4,6 +4,8 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
 
@@ -29,37 +31,51 @@ std::vector<ProjectedVertex> project_all(const Mesh& mesh, const Camera& camera)
     return out;
 }
 
-/// Calls hit(x, y, triangle, w0, w1, w2) with image-space barycentric weights for every pixel centre that a
-/// triangle covers, edges included: neighbouring triangles leave no pixel between them.
-template <class Hit>
-void for_each_covered(const Mesh& mesh, const Camera& camera, const std::vector<ProjectedVertex>& vertices, const Hit& hit) {
+/// A triangle in the image.
+struct ProjectedTriangle {
+    const ProjectedVertex &a, &b, &c;
+    double inverse_area;
+
+    /// Whether it covers a point, its edges included: neighbours leave nothing between them. Weights are barycentric, of the image.
+    bool covers(double x, double y, std::array<double, 3>& w) const {
+        constexpr double kEdge = -1e-9;  // rounding must not open a seam
+        w[0] = ((b.u - x) * (c.v - y) - (b.v - y) * (c.u - x)) * inverse_area;
+        w[1] = ((c.u - x) * (a.v - y) - (c.v - y) * (a.u - x)) * inverse_area;
+        w[2] = 1 - w[0] - w[1];
+        return w[0] >= kEdge && w[1] >= kEdge && w[2] >= kEdge;
+    }
+};
+
+/// Calls visit(number, triangle, x0, y0, x1, y1) for every triangle before the camera, with the pixels (the last ones included) that may have points of it
+/// within `reach` of their centres.
+template <class Visit>
+void for_each_triangle(const Mesh& mesh, const Camera& camera, const std::vector<ProjectedVertex>& vertices, double reach, const Visit& visit) {
     const Intrinsics& k = camera.intrinsics;
     for (size_t t = 0; t < mesh.triangles.size(); ++t) {
         const ProjectedVertex& a = vertices[mesh.triangles[t][0]];
         const ProjectedVertex& b = vertices[mesh.triangles[t][1]];
         const ProjectedVertex& c = vertices[mesh.triangles[t][2]];
         if (!k.orthographic && (a.z <= 0 || b.z <= 0 || c.z <= 0)) continue;
-        const double x_low = std::min({a.u, b.u, c.u}), x_high = std::max({a.u, b.u, c.u});
-        const double y_low = std::min({a.v, b.v, c.v}), y_high = std::max({a.v, b.v, c.v});
+        const double x_low = std::min({a.u, b.u, c.u}) - reach, x_high = std::max({a.u, b.u, c.u}) + reach;
+        const double y_low = std::min({a.v, b.v, c.v}) - reach, y_high = std::max({a.v, b.v, c.v}) + reach;
         if (x_high < 0 || y_high < 0 || x_low > k.width_px || y_low > k.height_px) continue;
         const int x0 = std::max(0, static_cast<int>(std::ceil(x_low - 0.5))), x1 = std::min(k.width_px - 1, static_cast<int>(std::floor(x_high - 0.5)));
         const int y0 = std::max(0, static_cast<int>(std::ceil(y_low - 0.5))), y1 = std::min(k.height_px - 1, static_cast<int>(std::floor(y_high - 0.5)));
         if (x0 > x1 || y0 > y1) continue;
         const double area = (b.u - a.u) * (c.v - a.v) - (b.v - a.v) * (c.u - a.u);
-        if (area == 0) continue;
-        const double inverse = 1 / area;
-        constexpr double kEdge = -1e-9;  // rounding must not open a seam
-        for (int y = y0; y <= y1; ++y) {
-            const double py = y + 0.5;
-            for (int x = x0; x <= x1; ++x) {
-                const double px = x + 0.5;
-                const double w0 = ((b.u - px) * (c.v - py) - (b.v - py) * (c.u - px)) * inverse;
-                const double w1 = ((c.u - px) * (a.v - py) - (c.v - py) * (a.u - px)) * inverse;
-                const double w2 = 1 - w0 - w1;
-                if (w0 >= kEdge && w1 >= kEdge && w2 >= kEdge) hit(x, y, t, w0, w1, w2);
-            }
-        }
+        if (area != 0) visit(t, ProjectedTriangle{a, b, c, 1 / area}, x0, y0, x1, y1);
     }
+}
+
+/// Calls hit(x, y, triangle, w0, w1, w2) with image-space barycentric weights for every pixel centre that a triangle covers.
+template <class Hit>
+void for_each_covered(const Mesh& mesh, const Camera& camera, const std::vector<ProjectedVertex>& vertices, const Hit& hit) {
+    for_each_triangle(mesh, camera, vertices, 0, [&](size_t t, const ProjectedTriangle& triangle, int x0, int y0, int x1, int y1) {
+        std::array<double, 3> w;
+        for (int y = y0; y <= y1; ++y)
+            for (int x = x0; x <= x1; ++x)
+                if (triangle.covers(x + 0.5, y + 0.5, w)) hit(x, y, t, w[0], w[1], w[2]);
+    });
 }
 
 }  // namespace
@@ -128,9 +144,58 @@ Image8 render_colors(const Mesh& mesh, const Camera& camera, const std::function
     return out;
 }
 
-Image8 silhouette_of(const Mesh& mesh, const Camera& camera) {
+namespace {
+
+Image8 hits(const Mesh& mesh, const Camera& camera, const std::vector<ProjectedVertex>& vertices) {
     Image8 out(camera.intrinsics.width_px, camera.intrinsics.height_px);
-    for_each_covered(mesh, camera, project_all(mesh, camera), [&](int x, int y, size_t, double, double, double) { out.at(x, y) = 255; });
+    for_each_covered(mesh, camera, vertices, [&](int x, int y, size_t, double, double, double) { out.at(x, y) = 255; });
+    return out;
+}
+
+}  // namespace
+
+Image8 silhouette_of(const Mesh& mesh, const Camera& camera) { return hits(mesh, camera, project_all(mesh, camera)); }
+
+SoftSilhouette soft_silhouette_of(const Mesh& mesh, const Camera& camera) {
+    constexpr int kSamples = 8;  ///< a side: a bit each
+    constexpr int kBlock_px = 8;
+    const std::vector<ProjectedVertex> vertices = project_all(mesh, camera);
+    SoftSilhouette out;
+    out.hit = hits(mesh, camera, vertices);
+    out.soft = out.hit;
+    const Image8& hit = out.hit;
+    Image<int32_t> number(hit.width, hit.height, 1, -1);                   // of the contour's pixels
+    Image8 blocks(hit.width / kBlock_px + 1, hit.height / kBlock_px + 1);  // that have such pixels: few triangles lie there
+    std::vector<uint64_t> covered;
+    for (int y = 0; y < hit.height; ++y)
+        for (int x = 0; x < hit.width; ++x) {
+            bool differs = false;
+            for (int v = std::max(0, y - 1); v <= std::min(hit.height - 1, y + 1); ++v)
+                for (int u = std::max(0, x - 1); u <= std::min(hit.width - 1, x + 1); ++u) differs = differs || hit.at(u, v) != hit.at(x, y);
+            if (!differs) continue;
+            number.at(x, y) = static_cast<int32_t>(covered.size());
+            blocks.at(x / kBlock_px, y / kBlock_px) = 1;
+            covered.push_back(0);
+        }
+    for_each_triangle(mesh, camera, vertices, 0.5, [&](size_t, const ProjectedTriangle& triangle, int x0, int y0, int x1, int y1) {
+        bool near = false;
+        for (int v = y0 / kBlock_px; v <= y1 / kBlock_px; ++v)
+            for (int u = x0 / kBlock_px; u <= x1 / kBlock_px; ++u) near = near || blocks.at(u, v);
+        if (!near) return;
+        std::array<double, 3> w;
+        for (int y = y0; y <= y1; ++y)
+            for (int x = x0; x <= x1; ++x) {
+                if (number.at(x, y) < 0) continue;
+                uint64_t& bits = covered[static_cast<size_t>(number.at(x, y))];
+                for (int s = 0; s < kSamples * kSamples; ++s)
+                    if (!(bits >> s & 1) && triangle.covers(x + (s % kSamples + 0.5) / kSamples, y + (s / kSamples + 0.5) / kSamples, w))
+                        bits |= uint64_t{1} << s;
+            }
+    });
+    for (size_t n = 0; n < out.soft.data.size(); ++n)
+        if (number.data[n] >= 0)
+            out.soft.data[n] =
+                static_cast<uint8_t>((std::popcount(covered[static_cast<size_t>(number.data[n])]) * 255 + kSamples * kSamples / 2) / (kSamples * kSamples));
     return out;
 }
 

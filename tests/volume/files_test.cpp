@@ -388,6 +388,28 @@ TEST(Raster, SilhouetteOfABallIsAnEllipseAtPixelCentres) {
     const SilhouetteAgreement same = compare_silhouettes(hit, {hit.view(), {}});
     EXPECT_EQ(same.iou, 1);
     EXPECT_EQ(same.contour_p99_px, 0);
+
+    // The ball's outline is a cone: the share of each pixel within it is exact to 1/1024 and contours agree to a fraction of a pixel.
+    const auto share = [&](int x, int y, double cosine_of) {
+        int inside = 0;
+        for (int n = 0; n < 1024; ++n) inside += c.ray({x + (n % 32 + 0.5) / 32, y + (n / 32 + 0.5) / 32}).direction.dot(axis) > cosine_of;
+        return static_cast<uint8_t>(std::lround(inside * 255 / 1024.0));
+    };
+    const auto outline = [&](double radius) {
+        Image8 out(160, 120);
+        const double cosine_of = std::cos(std::asin(radius / Vec3d(0.3, -0.2, 6).norm()));
+        for (int y = 0; y < 120; ++y)
+            for (int x = 0; x < 160; ++x) out.at(x, y) = share(x, y, cosine_of);
+        return out;
+    };
+    const Image8 mask = outline(1), soft = soft_silhouette_of(ball, c).soft;
+    int most = 0;
+    for (size_t n = 0; n < mask.data.size(); ++n) most = std::max(most, std::abs(mask.data[n] - soft.data[n]));
+    EXPECT_LE(most, 20);  // 64 rays: a row of 8 more or less, and what the facets lack
+    EXPECT_LE(compare_silhouettes(ball, c, {mask, {}}).contour_p99_px, 0.1);
+    // A mask of a ball that is larger by half a pixel; either distance is good to a tenth.
+    const double half_a_pixel = 0.5 * 6 / 290;
+    EXPECT_NEAR(compare_silhouettes(ball, c, {outline(1 + half_a_pixel), {}}).contour_p95_px, 0.54, 0.2);
 }
 
 TEST(Nvdb, RoundTripKeepsEveryValue) {
