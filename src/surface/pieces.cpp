@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <tbb/parallel_invoke.h>
+
 #include <map>
 #include <numeric>
+#include <optional>
 #include <set>
 
 #include "volume/inside_tiles.h"
@@ -51,7 +54,8 @@ uint32_t label_leaf(const Leaf& leaf, bool inside, uint8_t* label) {
 Pieces::Pieces(const openvdb::FloatGrid& surface, bool inside) : tree_(surface.tree()), inside_(inside) {
     tree_.getNodes(leaves_);
     const size_t count = leaves_.size();
-    for (size_t n = 0; n < count; ++n) leaf_number_[leaves_[n]->origin()] = n;
+    leaf_number_.reserve(2 * count);
+    for (size_t n = 0; n < count; ++n) leaf_number_.emplace(leaves_[n]->origin(), n);
     const auto around = neighbours_of(leaves_);
     labels_.resize(count * kVoxels);
     first_.assign(count + 1, 0);
@@ -102,21 +106,23 @@ Pieces::Pieces(const openvdb::FloatGrid& surface, bool inside) : tree_(surface.t
     });
     for (const auto& pairs : touching)
         for (const auto& [here, there] : pairs) join(here, there);
-    for (size_t t = 0; t < tiles_.size(); ++t) {
+    std::vector<std::vector<uint32_t>> beside(tiles_.size());  // on the far side of each axis: the near side's tile sees it from there
+    tbb::parallel_for(size_t{0}, tiles_.size(), [&](size_t t) {
         const auto [o, side] = tiles_[t];
-        const uint32_t here = first_[count] + static_cast<uint32_t>(t);
-        voxels_[here] += static_cast<int64_t>(side) * side * side;
+        voxels_[first_[count] + t] += static_cast<int64_t>(side) * side * side;
         for (int axis = 0; axis < 3; ++axis)
-            for (const int step : {-8, side})
-                for (int a = 0; a < side; a += 8)
-                    for (int b = 0; b < side; b += 8) {
-                        Coord c = o;
-                        c[axis] += step;
-                        c[(axis + 1) % 3] += a;
-                        c[(axis + 2) % 3] += b;
-                        if (const int64_t other = tile_at(c); other >= 0) join(here, static_cast<uint32_t>(other));
-                    }
-    }
+            for (int a = 0; a < side; a += 8)
+                for (int b = 0; b < side; b += 8) {
+                    Coord c = o;
+                    c[axis] += side;
+                    c[(axis + 1) % 3] += a;
+                    c[(axis + 2) % 3] += b;
+                    const int64_t other = tile_at(c);
+                    if (other >= 0 && (beside[t].empty() || beside[t].back() != other)) beside[t].push_back(static_cast<uint32_t>(other));
+                }
+    });
+    for (size_t t = 0; t < tiles_.size(); ++t)
+        for (const uint32_t other : beside[t]) join(first_[count] + static_cast<uint32_t>(t), other);
     for (uint32_t x = 0; x < parent_.size(); ++x) {
         const uint32_t root = root_of(x);
         parent_[x] = root;
@@ -158,37 +164,50 @@ std::vector<double> component_volumes(const openvdb::FloatGrid& surface) {
     return out;
 }
 
+namespace {
+
+/// Fills what the carved field encloses and the field of before does not. `leaves`: the carved one's.
+void fill_voids(const openvdb::FloatGrid& carved, const openvdb::FloatGrid& before, const std::vector<Leaf*>& leaves, Fragments& out) {
+    const Pieces voids(carved, false);
+    std::vector<std::set<int64_t>> filled(leaves.size());
+    std::vector<size_t> voxels(leaves.size(), 0);
+    tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t l) {
+        bool encloses = false;  // few leaves do
+        voids.for_each_in_leaf(l, [&](int64_t piece) { encloses = encloses || piece != voids.open(); });
+        for (openvdb::Index n = 0; encloses && n < kVoxels; ++n) {
+            const int64_t piece = voids.in_leaf(l, n);
+            if (piece < 0 || piece == voids.open()) continue;
+            const float was = before.tree().getValue(leaves[l]->offsetToGlobalCoord(n));
+            if (!(was < 0.f)) continue;  // the hull has that cavity, too
+            leaves[l]->setValueOnly(n, was);
+            filled[l].insert(piece);
+            ++voxels[l];
+        }
+    });
+    std::set<int64_t> all;
+    for (const auto& f : filled) all.insert(f.begin(), f.end());
+    out.voids = all.size();
+    out.filled_voxels = std::accumulate(voxels.begin(), voxels.end(), size_t{0});
+}
+
+}  // namespace
+
 Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid& before, double least_share) {
     Fragments out;
     const float band = carved.background();
     std::vector<Leaf*> leaves;
     carved.tree().getNodes(leaves);
-    {
-        const Pieces voids(carved, false);
-        std::vector<std::set<int64_t>> filled(leaves.size());
-        std::vector<size_t> voxels(leaves.size(), 0);
-        tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t l) {
-            for (openvdb::Index n = 0; n < kVoxels; ++n) {
-                if (leaves[l]->getValue(n) < 0.f) continue;
-                const int64_t piece = voids.in_leaf(l, n);
-                if (piece == voids.open()) continue;
-                const float was = before.tree().getValue(leaves[l]->offsetToGlobalCoord(n));
-                if (!(was < 0.f)) continue;  // the hull has that cavity, too
-                leaves[l]->setValueOnly(n, was);
-                filled[l].insert(piece);
-                ++voxels[l];
-            }
-        });
-        std::set<int64_t> all;
-        for (const auto& f : filled) all.insert(f.begin(), f.end());
-        out.voids = all.size();
-        out.filled_voxels = std::accumulate(voxels.begin(), voxels.end(), size_t{0});
-    }
-    const Pieces pieces(carved, true);
+    std::optional<Pieces> of_carved, of_before;
+    tbb::parallel_invoke(
+        [&] {
+            fill_voids(carved, before, leaves, out);
+            of_carved.emplace(carved, true);
+        },
+        [&] { of_before.emplace(before, true); });
+    const Pieces &pieces = *of_carved, &whole = *of_before;
     size_t count = 0;
     pieces.for_each([&](uint32_t, int64_t) { ++count; });
     if (count < 2) return out;
-    const Pieces whole(before, true);
     std::map<int64_t, bool> drop;  // by piece
     const auto is_dropped = [&](int64_t piece, const Coord& c) {
         const auto [known, fresh] = drop.emplace(piece, false);
@@ -199,16 +218,28 @@ Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid&
         }
         return known->second;
     };
+    std::vector<size_t> with_dropped;
     for (size_t l = 0; l < leaves.size(); ++l) {
-        int64_t last = -1;  // most leaves are of one piece
         bool dropped = false;
-        for (openvdb::Index n = 0; n < kVoxels; ++n) {
-            const int64_t piece = pieces.in_leaf(l, n);
-            if (piece < 0) continue;
-            if (piece != last) dropped = is_dropped(last = piece, leaves[l]->offsetToGlobalCoord(n));
-            if (dropped) leaves[l]->setValueOnly(n, band);
-        }
+        pieces.for_each_in_leaf(l, [&](int64_t piece) {
+            const auto known = drop.find(piece);
+            if (known != drop.end()) {
+                dropped = dropped || known->second;
+                return;
+            }
+            openvdb::Index n = 0;  // of the piece's first voxel
+            while (pieces.in_leaf(l, n) != piece) ++n;
+            dropped = is_dropped(piece, leaves[l]->offsetToGlobalCoord(n)) || dropped;
+        });
+        if (dropped) with_dropped.push_back(l);
     }
+    tbb::parallel_for(size_t{0}, with_dropped.size(), [&](size_t d) {
+        Leaf& leaf = *leaves[with_dropped[d]];
+        for (openvdb::Index n = 0; n < kVoxels; ++n) {
+            const int64_t piece = pieces.in_leaf(with_dropped[d], n);
+            if (piece >= 0 && drop.at(piece)) leaf.setValueOnly(n, band);
+        }
+    });
     std::vector<std::pair<Coord, int>> tiles;
     for_inside_tiles(carved.tree(), [&](const Coord& origin, int side) {
         if (is_dropped(pieces.at(origin), origin)) tiles.emplace_back(origin, side);

@@ -19,6 +19,11 @@ class Pieces {
     int64_t at(const openvdb::Coord& c) const;
     /// The same for a voxel of a leaf, by the leaf's number in the tree's order.
     int64_t in_leaf(size_t leaf, openvdb::Index voxel) const;
+    /// visit(piece) for what a leaf has of them, the same piece more than once where it is several within the leaf.
+    template <class Visit>
+    void for_each_in_leaf(size_t leaf, const Visit& visit) const {
+        for (uint32_t x = first_[leaf]; x < first_[leaf + 1]; ++x) visit(int64_t{parent_[x]});
+    }
     int64_t voxels(int64_t piece) const { return voxels_[static_cast<size_t>(piece)]; }
     /// Of the outside: the piece that goes on for ever, whose voxels are not counted.
     int64_t open() const { return open_; }
