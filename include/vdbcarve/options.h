@@ -145,7 +145,7 @@ void visit(O& o, V& v) {
     v(Option{"stereo",
              "on: carve what silhouettes cannot see (concavities) by the photographs' depths, inside the hull; needs texture, and every place seen by three "
              "photographs 8 to 40 degrees apart. off (default). auto: on if at least a fifth of the object's pixels have a depth that other photographs agree "
-             "with",
+             "with, which takes as long to find out",
              "Stereo", in::kMeshing},
       o.use, Words(kStereoWords));
     v.part(o.options);

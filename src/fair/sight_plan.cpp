@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/pixel_size.h"
+
 namespace vdbcarve::fairing {
 
 using kernel::FairEye;
@@ -45,19 +47,6 @@ Vec3d middle_of(const LeafLattice& lattice, const Vec3d& origin, double voxel) {
     return origin + voxel * middle;
 }
 
-/// Pixels across a voxel in the middle of the lattice, median over views.
-double pixels_per_voxel(const LeafLattice& lattice, const Vec3d& origin, double voxel, const std::vector<FairView>& views) {
-    const Vec3d middle = middle_of(lattice, origin, voxel);
-    std::vector<double> px;
-    for (const FairView& v : views) {
-        const Intrinsics& k = v.camera.intrinsics;
-        const double depth = k.orthographic ? 1.0 : (v.camera.camera_from_world * middle).z();
-        px.push_back(voxel * std::max(k.fx, k.fy) / std::max(depth, voxel));
-    }
-    std::nth_element(px.begin(), px.begin() + static_cast<long>(px.size() / 2), px.end());
-    return px[px.size() / 2];
-}
-
 }  // namespace
 
 SightPlan plan_sight(const LeafLattice& lattice, const openvdb::math::Transform& finest, const std::vector<FairView>& views, int scale, bool exact) {
@@ -65,8 +54,11 @@ SightPlan plan_sight(const LeafLattice& lattice, const openvdb::math::Transform&
     const Vec3d origin = first_voxel(finest, lattice.shift);
     SightPlan out;
     out.scale = std::max(scale, 1);
-    if (scale == 0)
-        for (const double px = pixels_per_voxel(lattice, origin, voxel, views); 2 * out.scale <= px;) out.scale *= 2;
+    if (scale == 0) {
+        std::vector<Camera> cameras;
+        for (const FairView& v : views) cameras.push_back(v.camera);
+        for (const double pixel = pixel_size_at(cameras, middle_of(lattice, origin, voxel)); pixel > 0 && 2 * out.scale * pixel <= voxel;) out.scale *= 2;
+    }
     out.exact = exact && out.scale == 1;
     for (const FairView& v : views) {
         out.masks.push_back(v.mask);

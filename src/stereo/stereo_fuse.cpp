@@ -7,6 +7,7 @@
 #include <limits>
 #include <memory>
 
+#include "base/pixel_size.h"
 #include "color/color_plan.h"
 #include "volume/inside_tiles.h"
 #include "surface/pieces.h"
@@ -131,7 +132,7 @@ FusionPlan plan_fusion(const openvdb::FloatGrid& surface, const std::vector<Ster
     std::vector<Camera> cameras;
     for (const StereoSource& s : levels.front().sources)
         if (!s.pairs.empty()) cameras.push_back(s.camera);
-    const double pixel_vox = pixel_on_object(cameras, middle_of(surface)) / frame.voxel_size;
+    const double pixel_vox = pixel_size_at(cameras, middle_of(surface)) / frame.voxel_size;
     out.rule.voxel = static_cast<float>(frame.voxel_size);
     out.rule.band = surface.background();
     out.rule.truncation = static_cast<float>(options.truncation_vox);

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "base/statistics.h"
+#include "base/pixel_size.h"
 #include "color/color_plan.h"
 #include "mesh/marching_cubes.h"
 #include "vdbcarve/error.h"
@@ -149,7 +149,8 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
                                      const std::vector<MaskView>& present, const std::vector<DistanceField>& fields, int scale, const Vec3d& object,
                                      const StereoOptions& o) {
     std::vector<StereoSource> out(inputs.size());
-    for (const size_t v : used) {
+    tbb::parallel_for(size_t{0}, used.size(), [&](size_t u) {
+        const size_t v = used[u];
         StereoSource& s = out[v];
         s.camera = at_scale(inputs[v].camera, scale);
         const Intrinsics& k = s.camera.intrinsics;
@@ -158,7 +159,7 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
         s.width = k.width_px;
         s.height = k.height_px;
         s.grey = grey_of_photo(photos[v], scale, s.width, s.height);
-    }
+    });
     const auto rim_px = static_cast<float>(std::min(o.trust.rim_px * scale, 0.9 * kernel::kMarginReach_px)),
                mixed_px = static_cast<float>(std::min(1.0 * scale, 0.9 * kernel::kMarginReach_px));
     tbb::parallel_for(size_t{0}, used.size(), [&](size_t u) {
@@ -235,15 +236,6 @@ StereoPasses stereo_passes(size_t level, size_t levels, const StereoOptions& opt
     return {first, first + std::max(options.passes >> std::min<size_t>(finer, 30), 1)};
 }
 
-double pixel_on_object(const std::vector<Camera>& cameras, const Vec3d& object) {
-    std::vector<double> out;
-    for (const Camera& c : cameras) {
-        const Intrinsics& k = c.intrinsics;
-        out.push_back((k.orthographic ? 1 : std::max((c.camera_from_world * object).z(), 0.0)) / std::sqrt(k.fx * k.fy));
-    }
-    return out.empty() ? 0 : median(out);
-}
-
 Vec3d middle_of(const openvdb::FloatGrid& surface) {
     const openvdb::CoordBBox box = leaf_box(surface);
     const openvdb::Vec3d middle = surface.indexToWorld(0.5 * (box.min().asVec3d() + box.max().asVec3d()));
@@ -251,7 +243,7 @@ Vec3d middle_of(const openvdb::FloatGrid& surface) {
 }
 
 int default_stereo_scale(const openvdb::FloatGrid& surface, const std::vector<Camera>& cameras) {
-    const double pixel = pixel_on_object(cameras, middle_of(surface));
+    const double pixel = pixel_size_at(cameras, middle_of(surface));
     int scale = 1;
     while (pixel > 0 && 2 * scale <= kMostStereoScale && 2 * scale * pixel <= kStereoPixel_vox * surface.voxelSize()[0]) scale *= 2;
     return scale;

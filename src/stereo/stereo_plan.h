@@ -77,9 +77,6 @@ RenderFrame stereo_frame(const openvdb::FloatGrid& surface);
 /// Of its leaves' box.
 Vec3d middle_of(const openvdb::FloatGrid& surface);
 
-/// How much of an object there a pixel covers, world units; median of the views.
-double pixel_on_object(const std::vector<Camera>& cameras, const Vec3d& object);
-
 /// The largest extent of the surface's inside along an axis, world units.
 double longest_side(const openvdb::FloatGrid& surface);
 

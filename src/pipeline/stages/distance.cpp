@@ -8,9 +8,9 @@
 #include <cmath>
 
 #include "base/memory.h"
+#include "base/pixel_size.h"
 #include "pipeline/advice.h"
 #include "pipeline/stages/repair.h"
-#include "base/statistics.h"
 #include "base/text.h"
 
 namespace vdbcarve::pipeline {
@@ -29,17 +29,6 @@ std::vector<Camera> cameras_of(const std::vector<CarveInput>& inputs) {
     std::vector<Camera> out;
     for (const CarveInput& input : inputs) out.push_back(input.camera);
     return out;
-}
-
-/// Size of one pixel on the object, world units: the median over views at the bounds' centre.
-double pixel_footprint(const std::vector<CarveInput>& inputs, const Vec3d& centre) {
-    std::vector<double> sizes;
-    for (const CarveInput& input : inputs) {
-        const Intrinsics& k = input.camera.intrinsics;
-        const double depth = k.orthographic ? 1.0 : (input.camera.camera_from_world * centre).z();
-        if (depth > 0) sizes.push_back(depth / std::sqrt(k.fx * k.fy));
-    }
-    return median(sizes);
 }
 
 /// Below the floor cones go on to where they end; that is cut off the surface, and need not be carved. A little below stays, for the cut to lie within.
@@ -283,7 +272,7 @@ Plan Distance::plan_grid(Run& run) const {
                          ". Remedy: without --bounds, or another -o");
     g.bounds_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     const double longest = box.sizes().maxCoeff();
-    g.pixel_footprint = pixel_footprint(plan.inputs, box.center());
+    g.pixel_footprint = pixel_size_at(cameras_of(plan.inputs), box.center());
     auto [voxel, origin] = choose_voxels(o, box, g.pixel_footprint, !kept, progress);
     if (kept) {
         const bool given = o.resolution > 0 || o.voxel_size > 0 || o.dims;

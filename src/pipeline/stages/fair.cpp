@@ -6,9 +6,9 @@
 #include <optional>
 
 #include "base/text.h"
+#include "pipeline/fair_inputs.h"
 #include "surface/euler.h"
 #include "vdbcarve/fair.h"
-#include "vdbcarve/level_set.h"
 #include "vdbcarve/slack.h"
 
 namespace vdbcarve::pipeline {
@@ -27,25 +27,6 @@ void known_by_depth(openvdb::FloatGrid& slack, const openvdb::FloatGrid& confide
 }
 
 }  // namespace
-
-std::vector<FairView> fair_views(const Shoot& shoot, const Silhouettes& masks) {
-    std::vector<FairView> out;
-    const std::vector<Camera> cameras = used_cameras(shoot, masks);
-    for (size_t u = 0; u < cameras.size(); ++u) out.push_back({cameras[u], view_of(masks.masks.masks[masks.used[u]])});
-    return out;
-}
-
-openvdb::FloatGrid::Ptr to_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress) {
-    const LevelSetOptions band;
-    return half_width_vox < band.half_width_vox ? level_set(grid->deepCopy(), band, progress) : grid;
-}
-
-openvdb::FloatGrid::Ptr from_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress) {
-    LevelSetOptions band;
-    if (half_width_vox == band.half_width_vox) return grid;
-    band.half_width_vox = half_width_vox;
-    return level_set(grid, band, progress);
-}
 
 Surface Fair::on_hull(openvdb::FloatGrid::Ptr fair, openvdb::FloatGrid::Ptr slack) const {
     Surface out = surface;

@@ -4,15 +4,8 @@
 
 #include "pipeline/run.h"
 #include "pipeline/values.h"
-#include "vdbcarve/fair.h"
 
 namespace vdbcarve::pipeline {
-
-/// What the views that are carved with show. Borrows the masks.
-std::vector<FairView> fair_views(const Shoot& shoot, const Silhouettes& masks);
-/// The fair surface is found in a band of 3 voxels or more. A level set with `half_width_vox` in such a one; and one of 3 back in `half_width_vox`.
-openvdb::FloatGrid::Ptr to_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress);
-openvdb::FloatGrid::Ptr from_fair_band(const openvdb::FloatGrid::Ptr& grid, int half_width_vox, Progress& progress);
 
 struct Fair {
     static constexpr const char* kName = "fair";

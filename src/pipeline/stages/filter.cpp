@@ -8,7 +8,7 @@
 
 #include "base/statistics.h"
 #include "base/text.h"
-#include "pipeline/stages/fair.h"
+#include "pipeline/fair_inputs.h"
 
 namespace vdbcarve::pipeline {
 

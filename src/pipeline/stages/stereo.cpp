@@ -6,7 +6,7 @@
 #include "base/atomic_file.h"
 #include "image/image_io.h"
 #include "base/memory.h"
-#include "pipeline/stages/fair.h"
+#include "pipeline/fair_inputs.h"
 #include "stereo/stereo_sheet.h"
 #include "base/text.h"
 #include "vdbcarve/silhouettes_kept.h"
