@@ -21,7 +21,7 @@ excess() {
   shift
   rm -rf scene "out_$name"
   "$program" --quiet synth "$@" --masks-only -o scene
-  "$program" --quiet reconstruct scene -o "out_$name" --resolution 256 2>/dev/null
+  "$program" --quiet reconstruct scene -o "out_$name" --resolution 256 --surface hull 2>/dev/null
   python3 - "out_$name" "$program" <<'PY'
 import json, subprocess, sys
 got = json.load(open(sys.argv[1] + "/report.json"))["mesh"]["volume"]

@@ -2,7 +2,7 @@
 // Stage `align`: cameras from silhouettes alone, for photographs of an object that turned, or was walked around; or from a marker mat under it.
 //
 // Silhouette coherence: the line of sight through any point of a silhouette's contour touches the object, so it must touch the hull of
-// all other silhouettes. How far it stays outside, in pixels, is minimised over all cameras (src/align/align.md).
+// all other silhouettes. How far it stays outside, in pixels, is minimised over all cameras (docs/stages/align.md).
 #pragma once
 
 #include <array>
@@ -23,7 +23,7 @@ enum class AlignMethod {
     Coherence,  ///< from the silhouettes and what is known of the motion
     Refine,     ///< from the cameras that the views have already, which are near the truth
     Mat,        ///< from a mat of markers that the object stands on
-    Paper       ///< the seed paper's: a model of two views, turned until it looks like each photograph (src/align/paper/align.md)
+    Paper       ///< the seed paper's: a model of two views, turned until it looks like each photograph (docs/stages/align-paper.md)
 };
 const char* name_of(AlignMethod method);
 

@@ -4,7 +4,7 @@
 // After Denkowski, "GPU accelerated 3D object reconstruction", ICCS 2013, listing 4.1, with three changes:
 // the depth divides both image coordinates (the listing divides y by the image-x coordinate); the value of
 // a voxel is the signed distance to the silhouette cones instead of one bit; and nodes of the tree are
-// decided whole wherever an exact bound (src/derivations.md) allows it.
+// decided whole wherever an exact bound (docs/stages/derivations.md) allows it.
 #pragma once
 
 #include <openvdb/openvdb.h>

@@ -2,7 +2,7 @@
 // Stage `fair`: the smoothest surface inside the hull that still covers every silhouette.
 //
 // The hull is the largest surface that the silhouettes allow, and shows it: slabs and ridges wherever views leave room. Of all surfaces inside it that cover
-// every object pixel, this is the one of nearly least area (Kolev and Cremers, ECCV 2008, pose the problem). src/fair/fair.md says how it is found.
+// every object pixel, this is the one of nearly least area (Kolev and Cremers, ECCV 2008, pose the problem). docs/stages/fair.md says how it is found.
 #pragma once
 
 #include <openvdb/openvdb.h>

@@ -2,7 +2,7 @@
 // Stage `filter`: the level set made smoother, its volume kept.
 //
 // The paper smooths a binary volume by a bilateral or anisotropic filter; here values are distances already, so that little is left to
-// do. src/surface/filter.md compares the filters.
+// do. docs/stages/filter.md compares the filters.
 #pragma once
 
 #include <openvdb/openvdb.h>

@@ -173,7 +173,7 @@ void visit(O& o, V& v) {
 }
 
 struct FilterSettings {
-    std::optional<std::vector<FilterStep>> steps;  ///< none: chosen by how soft the masks are (src/surface/filter.md)
+    std::optional<std::vector<FilterStep>> steps;  ///< none: chosen by how soft the masks are (docs/stages/filter.md)
     bool repair_volume = true;
     double keep_thin_vox = 4;  ///< see FilterOptions; lowered to what the half-width allows
 };

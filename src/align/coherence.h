@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Silhouette coherence (Hernández, Schmitt and Cipolla, "Silhouette coherence for camera calibration under circular motion", PAMI 2007)
 // as a distance in pixels that has a derivative: how far the line of sight through a contour point stays outside the hull of all other views.
-// src/derivations.md, "Alignment", derives residual and Jacobian.
+// docs/stages/derivations.md, "Alignment", derives residual and Jacobian.
 #pragma once
 
 #include <cstdint>

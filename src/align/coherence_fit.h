@@ -113,7 +113,7 @@ TrackedPlace place_of(const std::vector<OrbitCamera>& cameras, const FeatureTrac
 double track_cost(const CoherenceFit& fit, const CoherencePass& pass);
 
 /// The same near the present state: cost + 2 gradient x + x' curvature x for a step x of the free parameters, the places themselves eliminated (Schur
-/// complement: what is left of the rows across the space that moving the place can reach; src/derivations.md, 8). Empty without tracks.
+/// complement: what is left of the rows across the space that moving the place can reach; docs/stages/derivations.md, 8). Empty without tracks.
 struct TrackNormal {
     Eigen::MatrixXd curvature;
     Eigen::VectorXd gradient;

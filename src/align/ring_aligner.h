@@ -38,7 +38,7 @@ class RingAligner {
 
     // ------------------------------------------------------------------------------------- passes
 
-    /// So many are searched with: 36 find a hand-held orbit in every case of src/align/align.md, and time grows with their square.
+    /// So many are searched with: 36 find a hand-held orbit in every case of docs/stages/align.md, and time grows with their square.
     static constexpr size_t kKeyViews = 48;
 
     /// Contour points a view: `points`, and beyond the number of key views fewer, since each point is held against all other views and all of them together

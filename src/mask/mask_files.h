@@ -22,7 +22,7 @@ bool is_two_level(const Image8& grey);
 /// refused in make_masks. Empty: there is none.
 std::filesystem::path file_in_folder(const std::filesystem::path& folder, const View& view);
 
-/// The object mask's file, by the search order that the README documents. Empty: there is none.
+/// The object mask's file, by the search order that docs/formats.md documents. Empty: there is none.
 std::filesystem::path object_mask_file(const View& view, const std::filesystem::path& scene, const MaskOptions& options);
 std::filesystem::path ignore_mask_file(const View& view, const std::filesystem::path& scene, const MaskOptions& options);
 

@@ -86,7 +86,7 @@ std::string filters_text(const std::vector<FilterStep>& steps) {
 }
 
 std::vector<FilterStep> default_filters(double mask_softness) {
-    // Soft masks leave nothing to smooth that is worth the edges. src/surface/filter.md has the numbers.
+    // Soft masks leave nothing to smooth that is worth the edges. docs/stages/filter.md has the numbers.
     if (mask_softness >= 0.5) return {};
     if (mask_softness >= 0) return {{FilterKind::EdgePreserving, 2, 1}};
     return {{FilterKind::EdgePreserving, 2, 4}};

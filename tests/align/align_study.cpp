@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How well cameras are found from silhouettes: vdbcarve_align_study [--from N] [--seeds N] [--verbose] [CASE…] prints the tables of src/align/align.md.
+// How well cameras are found from silhouettes: vdbcarve_align_study [--from N] [--seeds N] [--verbose] [CASE…] prints the tables of docs/stages/align.md.
 //
 // Analytic objects (seven ellipsoids and a plate), 640 x 480, unsteady cameras; every case is a change to one base case, and starts from even angles and,
 // unless it says so, an unknown focal length.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The bounds of kernel/carve.h, derived in src/derivations.md, tried on random cameras, balls and fields.
+// The bounds of kernel/carve.h, derived in docs/stages/derivations.md, tried on random cameras, balls and fields.
 #include "vdbcarve/kernel/carve.h"
 
 #include <random>

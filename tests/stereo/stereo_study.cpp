@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stereo with other settings than the usual ones, against the truth: what src/stereo/stereo.md's tables are made with.
+// Stereo with other settings than the usual ones, against the truth: what docs/stages/stereo.md's tables are made with.
 //
 //   vdbcarve_stereo_study SCENE N [--cpu] [--meshes PREFIX] [--synth name=value,…] [--pose-noise PX] [name=value,name=value …]
 //

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What filters do to shapes whose truth is known: vdbcarve_filter_study [FANDISK.obj] prints the table of src/surface/filter.md.
+// What filters do to shapes whose truth is known: vdbcarve_filter_study [FANDISK.obj] prints the first table of docs/lab/filter.md.
 //
 // Shapes as distances (what a hull from soft masks is) and as bits (what one from binary masks is): spheres, a tilted cube, a mesh
 // with sharp edges. Ours beside OpenVDB's LevelSetFilter, once with the alpha mask that its documentation proposes for edges.

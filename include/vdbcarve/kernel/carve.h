@@ -4,7 +4,7 @@
 // Frames: `index` (voxel centres at integers), `camera` (OpenCV axes: x right, y down, z forward, in
 // world units), `image` (pixels, the centre of the first pixel is (0.5, 0.5)).
 // Sign everywhere: negative inside the object, positive outside, as in a level set.
-// Every bound below is derived in src/derivations.md and has a property test.
+// Every bound below is derived in docs/stages/derivations.md and has a property test.
 #pragma once
 
 #include <cmath>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The fair surface, one line of sight and one voxel at a time (src/fair/fair.md says what it is).
+// The fair surface, one line of sight and one voxel at a time (docs/stages/fair.md says what it is).
 //
 // Distances are in voxels of the level at hand, negative inside, and end at +-kFairBand_vox. Positions are index coordinates, voxel centres at whole numbers.
 #pragma once

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which samples of a view the fair surface asks, and how (src/fair/fair.md).
+// Which samples of a view the fair surface asks, and how (docs/stages/fair.md).
 #pragma once
 
 #include <cmath>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the fair surface moves, one voxel at a time (src/fair/fair.md says what it is). Distances are in voxels, negative inside.
+// How the fair surface moves, one voxel at a time (docs/stages/fair.md says what it is). Distances are in voxels, negative inside.
 #pragma once
 
 #include <cmath>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Alignment as the seed paper does it (Denkowski, "GPU accelerated 3D object reconstruction", ICCS 2013, section 3), as far as the text says how;
-// src/align/paper/align.md says what was filled in, and what comes of it. Private; AlignMethod::Paper.
+// docs/stages/align-paper.md says what was filled in, and what comes of it. Private; AlignMethod::Paper.
 #pragma once
 
 #include <array>
