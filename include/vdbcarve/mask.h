@@ -130,5 +130,7 @@ std::vector<std::filesystem::path> mask_files(const View& view, const std::files
 
 /// How soft a mask's contour is: the share of its pixels that are neither object nor background; about 1 for soft masks, 0 for black and white.
 double contour_softness(ImageView<uint8_t> coverage);
+/// From so much softness on, contours are known within pixels.
+inline constexpr double kSoftContours = 0.5;
 
 }  // namespace vdbcarve

@@ -38,8 +38,8 @@ PhotoAgreement compare_photo(ImageView<uint8_t> rendered_rgba, const PhotoView& 
 /// 255 where the ray through the pixel centre hits the mesh.
 Image8 silhouette_of(const Mesh& mesh, const Camera& camera);
 
-/// `hit`: silhouette_of(). `soft`: the same, with the contour where it runs within pixels: those with a pixel around that differs have the share that the
-/// mesh covers, 0..255, from 8 x 8 rays.
+/// `hit`: silhouette_of(). `soft`: the same, but pixels with one around (of 8) that differs hold the share that the mesh covers, 0..255, from 8 x 8 rays, on
+/// the side of 1/2 that `hit` says. What no pixel centre hits is missing in both.
 struct SoftSilhouette {
     Image8 hit, soft;
 };
@@ -65,8 +65,9 @@ struct SilhouetteAgreement {
     std::vector<std::array<int, 2>> thin_lost;  ///< the lost pixels of the skeleton
 };
 SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask);
-/// The same for a mesh. Contours are compared to a fraction of a pixel: pixel centres alone are half a pixel off, whatever the mesh is.
-SilhouetteAgreement compare_silhouettes(const Mesh& mesh, const Camera& camera, const MaskView& mask);
+/// The same for a mesh. `within_pixels`: the mask's contour is known within pixels, and so the mesh's is asked there; at pixel centres alone it would be up to
+/// half a pixel off, whatever the mesh is.
+SilhouetteAgreement compare_silhouettes(const Mesh& mesh, const Camera& camera, const MaskView& mask, bool within_pixels);
 
 /// One picture of up to 12 evenly chosen views: the mesh, shaded, over the darkened photograph; red where the
 /// mask is missed, blue where the mesh sticks out, yellow where thin parts are lost, the largest missed piece framed. `photos` may hold empty images.

@@ -165,7 +165,8 @@ std::optional<Hull> hull_of(const Views& views, const std::vector<MaskView>& see
     }
     out.agreements.resize(seen.size());
     tbb::parallel_for(size_t{0}, seen.size(), [&](size_t i) {
-        if (!seen[i].coverage.empty()) out.agreements[i] = compare_silhouettes(out.mesh, cameras[i], seen[i]);
+        if (!seen[i].coverage.empty())
+            out.agreements[i] = compare_silhouettes(out.mesh, cameras[i], seen[i], contour_softness(seen[i].coverage) >= kSoftContours);
     });
     std::vector<double> ious;
     for (size_t i = 0; i < seen.size(); ++i)
@@ -269,7 +270,7 @@ void check_masks(const CheckOptions& options, const Views& views, CheckResult& o
         seen.push_back(views.views[i].unused.empty() ? view_of(masks.masks[i]) : MaskView());  // as reconstruct does
         if (seen.back().coverage.empty()) continue;
         ++used;
-        if (contour_softness(masks.masks[i].coverage) < 0.5) hard.push_back(views.views[i].name);
+        if (contour_softness(masks.masks[i].coverage) < kSoftContours) hard.push_back(views.views[i].name);
     }
     if (used == 0) return;
     out.looked_at.push_back("masks");

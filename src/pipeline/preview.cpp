@@ -39,7 +39,7 @@ std::vector<SilhouetteAgreement> compare_with_masks(const Mesh& mesh, const std:
     tbb::parallel_for(size_t{0}, which.size(), [&](size_t w) {
         const size_t i = which[w];
         const Mask& mask = masks.masks.masks[i];
-        if (!mask.coverage.empty()) out[i] = compare_silhouettes(mesh, cameras[i], view_of(mask));
+        if (!mask.coverage.empty()) out[i] = compare_silhouettes(mesh, cameras[i], view_of(mask), contour_softness(mask.coverage) >= kSoftContours);
         progress.step();
     });
     return out;

@@ -35,22 +35,7 @@ Image8 cropped(ImageView<uint8_t> image, const std::array<int, 4>& box) {
     return out;
 }
 
-SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, ImageView<uint8_t> soft, const MaskView& mask);
-
 /// `soft`: `hit`, with the contour where it runs within pixels.
-SilhouetteAgreement compare(ImageView<uint8_t> hit, ImageView<uint8_t> soft, const MaskView& mask) {
-    // Beside both silhouettes there is nothing to compare, and photographs are mostly that.
-    const std::array<int, 4> box = window_of(hit, mask.coverage);
-    const Image8 coverage = cropped(mask.coverage, box), ignore = cropped(mask.ignore, box);
-    SilhouetteAgreement out = compare_whole(cropped(hit, box), cropped(soft, box), {coverage, ignore});
-    if (out.missed_px > 0)
-        for (size_t side = 0; side < 4; ++side) out.missed_blob[side] += box[side % 2];
-    // Nothing in common: as far apart as the picture is wide.
-    if (out.iou == 0) out.contour_p95_px = out.contour_p99_px = std::hypot(hit.width, hit.height);
-    for (auto& p : out.thin_lost) p = {p[0] + box[0], p[1] + box[1]};
-    return out;
-}
-
 SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, ImageView<uint8_t> soft, const MaskView& mask) {
     SilhouetteAgreement out;
     const int width = hit.width, height = hit.height;
@@ -103,11 +88,26 @@ SilhouetteAgreement compare_whole(ImageView<uint8_t> hit, ImageView<uint8_t> sof
     return out;
 }
 
+/// `soft`: `hit`, with the contour where it runs within pixels.
+SilhouetteAgreement compare(ImageView<uint8_t> hit, ImageView<uint8_t> soft, const MaskView& mask) {
+    // Beside both silhouettes there is nothing to compare, and photographs are mostly that.
+    const std::array<int, 4> box = window_of(hit, mask.coverage);
+    const Image8 coverage = cropped(mask.coverage, box), ignore = cropped(mask.ignore, box);
+    SilhouetteAgreement out = compare_whole(cropped(hit, box), cropped(soft, box), {coverage, ignore});
+    if (out.missed_px > 0)
+        for (size_t side = 0; side < 4; ++side) out.missed_blob[side] += box[side % 2];
+    // Nothing in common: as far apart as the picture is wide.
+    if (out.iou == 0) out.contour_p95_px = out.contour_p99_px = std::hypot(hit.width, hit.height);
+    for (auto& p : out.thin_lost) p = {p[0] + box[0], p[1] + box[1]};
+    return out;
+}
+
 }  // namespace
 
 SilhouetteAgreement compare_silhouettes(ImageView<uint8_t> hit, const MaskView& mask) { return compare(hit, hit, mask); }
 
-SilhouetteAgreement compare_silhouettes(const Mesh& mesh, const Camera& camera, const MaskView& mask) {
+SilhouetteAgreement compare_silhouettes(const Mesh& mesh, const Camera& camera, const MaskView& mask, bool within_pixels) {
+    if (!within_pixels) return compare_silhouettes(silhouette_of(mesh, camera), mask);
     const SoftSilhouette seen = soft_silhouette_of(mesh, camera);
     return compare(seen.hit, seen.soft, mask);
 }

@@ -157,15 +157,16 @@ Image8 hits(const Mesh& mesh, const Camera& camera, const std::vector<ProjectedV
 Image8 silhouette_of(const Mesh& mesh, const Camera& camera) { return hits(mesh, camera, project_all(mesh, camera)); }
 
 SoftSilhouette soft_silhouette_of(const Mesh& mesh, const Camera& camera) {
-    constexpr int kSamples = 8;  ///< a side: a bit each
+    constexpr int kSamples = 8;                ///< a side
+    static_assert(kSamples * kSamples == 64);  // a bit each
     constexpr int kBlock_px = 8;
     const std::vector<ProjectedVertex> vertices = project_all(mesh, camera);
     SoftSilhouette out;
     out.hit = hits(mesh, camera, vertices);
     out.soft = out.hit;
     const Image8& hit = out.hit;
-    Image<int32_t> number(hit.width, hit.height, 1, -1);                   // of the contour's pixels
-    Image8 blocks(hit.width / kBlock_px + 1, hit.height / kBlock_px + 1);  // that have such pixels: few triangles lie there
+    Image<int32_t> contour_number(hit.width, hit.height, 1, -1);
+    Image8 has_contour(hit.width / kBlock_px + 1, hit.height / kBlock_px + 1);  // of blocks: few triangles lie there
     std::vector<uint64_t> covered;
     for (int y = 0; y < hit.height; ++y)
         for (int x = 0; x < hit.width; ++x) {
@@ -173,29 +174,30 @@ SoftSilhouette soft_silhouette_of(const Mesh& mesh, const Camera& camera) {
             for (int v = std::max(0, y - 1); v <= std::min(hit.height - 1, y + 1); ++v)
                 for (int u = std::max(0, x - 1); u <= std::min(hit.width - 1, x + 1); ++u) differs = differs || hit.at(u, v) != hit.at(x, y);
             if (!differs) continue;
-            number.at(x, y) = static_cast<int32_t>(covered.size());
-            blocks.at(x / kBlock_px, y / kBlock_px) = 1;
+            contour_number.at(x, y) = static_cast<int32_t>(covered.size());
+            has_contour.at(x / kBlock_px, y / kBlock_px) = 1;
             covered.push_back(0);
         }
     for_each_triangle(mesh, camera, vertices, 0.5, [&](size_t, const ProjectedTriangle& triangle, int x0, int y0, int x1, int y1) {
         bool near = false;
         for (int v = y0 / kBlock_px; v <= y1 / kBlock_px; ++v)
-            for (int u = x0 / kBlock_px; u <= x1 / kBlock_px; ++u) near = near || blocks.at(u, v);
+            for (int u = x0 / kBlock_px; u <= x1 / kBlock_px; ++u) near = near || has_contour.at(u, v);
         if (!near) return;
         std::array<double, 3> w;
         for (int y = y0; y <= y1; ++y)
             for (int x = x0; x <= x1; ++x) {
-                if (number.at(x, y) < 0) continue;
-                uint64_t& bits = covered[static_cast<size_t>(number.at(x, y))];
+                if (contour_number.at(x, y) < 0) continue;
+                uint64_t& bits = covered[static_cast<size_t>(contour_number.at(x, y))];
                 for (int s = 0; s < kSamples * kSamples; ++s)
                     if (!(bits >> s & 1) && triangle.covers(x + (s % kSamples + 0.5) / kSamples, y + (s / kSamples + 0.5) / kSamples, w))
                         bits |= uint64_t{1} << s;
             }
     });
-    for (size_t n = 0; n < out.soft.data.size(); ++n)
-        if (number.data[n] >= 0)
-            out.soft.data[n] =
-                static_cast<uint8_t>((std::popcount(covered[static_cast<size_t>(number.data[n])]) * 255 + kSamples * kSamples / 2) / (kSamples * kSamples));
+    for (size_t n = 0; n < out.soft.data.size(); ++n) {
+        if (contour_number.data[n] < 0) continue;
+        const int rays = kSamples * kSamples, share = (std::popcount(covered[static_cast<size_t>(contour_number.data[n])]) * 255 + rays / 2) / rays;
+        out.soft.data[n] = static_cast<uint8_t>(hit.data[n] ? std::max(share, 128) : std::min(share, 127));
+    }
     return out;
 }
 

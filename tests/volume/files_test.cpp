@@ -388,28 +388,50 @@ TEST(Raster, SilhouetteOfABallIsAnEllipseAtPixelCentres) {
     const SilhouetteAgreement same = compare_silhouettes(hit, {hit.view(), {}});
     EXPECT_EQ(same.iou, 1);
     EXPECT_EQ(same.contour_p99_px, 0);
+}
 
-    // The ball's outline is a cone: the share of each pixel within it is exact to 1/1024 and contours agree to a fraction of a pixel.
-    const auto share = [&](int x, int y, double cosine_of) {
-        int inside = 0;
-        for (int n = 0; n < 1024; ++n) inside += c.ray({x + (n % 32 + 0.5) / 32, y + (n / 32 + 0.5) / 32}).direction.dot(axis) > cosine_of;
-        return static_cast<uint8_t>(std::lround(inside * 255 / 1024.0));
-    };
+TEST(Raster, ContoursAreComparedWithinPixels) {
+    Progress quiet;
+    openvdb::initialize();
+    const Mesh ball = extract_mesh(*openvdb::tools::createLevelSetSphere<openvdb::FloatGrid>(1.f, openvdb::Vec3f(0.3f, -0.2f, 6.f), 0.01f), {}, quiet);
+    Camera c;
+    c.intrinsics = {300, 280, 0, 80, 61, 157, 90, false};  // the picture cuts the ball
+    // The ball's outline is a cone: the share of each pixel within it is exact to 1/1024.
+    const Vec3d centre(0.3, -0.2, 6), axis = centre.normalized();
     const auto outline = [&](double radius) {
-        Image8 out(160, 120);
-        const double cosine_of = std::cos(std::asin(radius / Vec3d(0.3, -0.2, 6).norm()));
-        for (int y = 0; y < 120; ++y)
-            for (int x = 0; x < 160; ++x) out.at(x, y) = share(x, y, cosine_of);
+        Image8 out(157, 90);
+        const double cosine = std::cos(std::asin(radius / centre.norm()));
+        for (int y = 0; y < out.height; ++y)
+            for (int x = 0; x < out.width; ++x) {
+                int inside = 0;
+                for (int n = 0; n < 1024; ++n) inside += c.ray({x + (n % 32 + 0.5) / 32, y + (n / 32 + 0.5) / 32}).direction.dot(axis) > cosine;
+                out.at(x, y) = static_cast<uint8_t>(std::lround(inside * 255 / 1024.0));
+            }
         return out;
     };
-    const Image8 mask = outline(1), soft = soft_silhouette_of(ball, c).soft;
+    const SoftSilhouette seen = soft_silhouette_of(ball, c);
+    EXPECT_EQ(seen.hit.data, silhouette_of(ball, c).data);
+    const Image8 exact = coverage_of(ball, c, 8), mask = outline(1);
     int most = 0;
-    for (size_t n = 0; n < mask.data.size(); ++n) most = std::max(most, std::abs(mask.data[n] - soft.data[n]));
-    EXPECT_LE(most, 20);  // 64 rays: a row of 8 more or less, and what the facets lack
-    EXPECT_LE(compare_silhouettes(ball, c, {mask, {}}).contour_p99_px, 0.1);
-    // A mask of a ball that is larger by half a pixel; either distance is good to a tenth.
-    const double half_a_pixel = 0.5 * 6 / 290;
-    EXPECT_NEAR(compare_silhouettes(ball, c, {outline(1 + half_a_pixel), {}}).contour_p95_px, 0.54, 0.2);
+    size_t other_side = 0;
+    for (int y = 0; y < exact.height; ++y)
+        for (int x = 0; x < exact.width; ++x) {
+            const int share = seen.soft.at(x, y);
+            EXPECT_EQ(share >= 128, seen.hit.at(x, y) != 0);
+            if ((exact.at(x, y) >= 128) == (share >= 128)) most = std::max(most, std::abs(exact.at(x, y) - share));
+            else ++other_side;
+        }
+    EXPECT_LE(most, 4);         // a ray, by rounding
+    EXPECT_LE(other_side, 6u);  // halves are close there
+    EXPECT_LE(compare_silhouettes(ball, c, {mask, {}}, true).contour_p99_px, 0.13);
+    // Of a mask without grey the contour is known to pixels, and compared there.
+    Image8 hard = mask;
+    for (uint8_t& v : hard.data) v = v >= 128 ? 255 : 0;
+    EXPECT_LE(compare_silhouettes(ball, c, {hard, {}}, false).contour_p95_px, 0.01);
+    EXPECT_GT(compare_silhouettes(ball, c, {hard, {}}, true).contour_p95_px, 0.3);
+    // The outline of a ball that is larger by half a pixel on the axis: 0.0103 * 300 * d^2 / (d^2 - 1)^1.5 = 0.54 px along x, less along y; distances of
+    // grey contours are good to a sixteenth each, and p95 takes the larger ones.
+    EXPECT_NEAR(compare_silhouettes(ball, c, {outline(1 + 0.5 * 6 / 290), {}}, true).contour_p95_px, 0.54, 0.2);
 }
 
 TEST(Nvdb, RoundTripKeepsEveryValue) {
