@@ -34,17 +34,17 @@ MemoryPlan plan_memory(const JobSize& job, double resident, double limit) {
     const double carve_peak = resident + kCarveBase + job.field_bytes + hull;
     const double color_grid = job.colored ? kColorGridPerLeaf : 0, glb = job.glb ? kGlbPerLeaf : 0;
     const double mesher = job.slabs ? kMesherBytesPerLeaf / kMostSlabs : kMesherBytesPerLeaf;
-    const double later_peak =
-        std::max({resident + leaves * kLevelSetPerLeaf, job.colored ? resident + leaves * kColorPerLeaf : 0.0,
-                  resident + leaves * (kFilterPerLeaf + color_grid), resident + kMeshBase + leaves * (kMeshBytesPerLeaf + mesher + color_grid),
-                  resident + kExportBase + leaves * (kExportPerLeaf + glb + 1.5 * color_grid)});
+    const double later_peak = std::max({resident + leaves * kLevelSetPerLeaf, job.fair ? resident + leaves * kFairPerLeaf : 0.0,
+                                        job.colored ? resident + leaves * kColorPerLeaf : 0.0, resident + leaves * (kFilterPerLeaf + color_grid),
+                                        resident + kMeshBase + leaves * (kMeshBytesPerLeaf + mesher + color_grid),
+                                        resident + kExportBase + leaves * (kExportPerLeaf + glb + 1.5 * color_grid)});
     plan.expected = {leaves, leaves * kTreePerLeaf, job.field_bytes, job.whole ? std::max(carve_peak, later_peak) : carve_peak, limit};
     if (job.whole && later_peak > limit) {
         const double fits = job.longest_vox * std::sqrt(std::max(0.0, (limit - resident - kExportBase) / (later_peak - resident)));
         throw UsageError(
             "this resolution needs about " + gigabytes(later_peak) + " of memory, the limit is " + gigabytes(limit) +
             " (--memory-limit). Remedy: " + (fits >= 16 ? "--resolution " + std::to_string(static_cast<long>(0.97 * fits)) + " fits; " : std::string()) +
-            "`carve` alone goes further, in bricks");
+            (job.fair ? "--surface hull needs less; " : "") + "`carve` alone goes further, in bricks");
     }
     plan.field_bytes = job.field_bytes;
     plan.hull_bytes = job.occupancy ? 0 : hull;
@@ -66,7 +66,8 @@ void share_out(MemoryPlan& plan, const JobSize& job, double resident, bool on_de
 }
 
 DeviceFit fit_device(const JobSize& job, double free_bytes) {
-    const double later = kDeviceSurfacePerLeaf + (job.colored ? kDeviceColorPerLeaf : 0) + (job.filtered ? kDeviceFilterPerLeaf : 0);
+    const double colors_and_filter = (job.colored ? kDeviceColorPerLeaf : 0) + (job.filtered ? kDeviceFilterPerLeaf : 0);
+    const double later = kDeviceSurfacePerLeaf + std::max(job.fair ? kDeviceFairPerLeaf : 0, colors_and_filter);
     const double per_leaf = kDeviceHullPerLeaf + (job.whole ? later : 0) + (job.device_mesh ? kDeviceMeshPerLeaf : 0);
     const double room = 0.95 * free_bytes - job.device_base_bytes;
     DeviceFit fit{job.leaves * per_leaf <= room, 1, job.leaves * per_leaf + job.device_base_bytes};

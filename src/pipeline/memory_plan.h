@@ -17,8 +17,12 @@ inline constexpr double kGlbPerLeaf = 7200;
 inline constexpr double kColorPerLeaf = 17000;
 inline constexpr double kColorGridPerLeaf = 6300;
 inline constexpr double kFilterPerLeaf = 9000;
+inline constexpr double kFairPerLeaf =
+    30000;                                ///< the hull, the fair surface and their coarser levels; 24 to 30 kB on three scenes, a fifth more where depths lead
 inline constexpr double kMostSlabs = 64;  ///< that the mesher goes through a grid in
 inline constexpr double kProgramBase = 120e6;
+/// On the device, reckoned: five values of each voxel in about 1.6 leaves for one of the hull, coarser levels, lines of sight.
+inline constexpr double kDeviceFairPerLeaf = 24000;
 /// On the device: colours and layers of all voxels in leaves, candidates and the fill's cells of those of the contour.
 inline constexpr double kDeviceColorPerLeaf = 14000;
 
@@ -30,7 +34,7 @@ struct JobSize {
     double field_bytes = 0;        ///< distance fields, with what making them needs besides
     double device_base_bytes = 0;  ///< masks and fields on a device, with what making the fields needs there
     bool whole = true;             ///< to the files of a result; false: the raw hull only
-    bool occupancy = false, colored = true, filtered = true, glb = true;
+    bool occupancy = false, fair = true, colored = true, filtered = true, glb = true;
     bool slabs = true;         ///< the mesher can go through the grid in slabs
     bool device_mesh = false;  ///< the mesh is made on the device, too
 };

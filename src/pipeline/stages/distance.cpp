@@ -126,6 +126,7 @@ JobSize size_of(const ReconstructOptions& o, const Plan& plan) {
     job.device_base_bytes += 14 * samples;
     job.whole = o.run.last_stage == LastStage::Export;
     job.occupancy = o.carve.occupancy;
+    job.fair = makes_fair(o);
     job.colored = o.color.options.mode != ColorMode::None;
     job.filtered = !o.filter.steps || !o.filter.steps->empty();
     job.glb = std::find(o.result.mesh_formats.begin(), o.result.mesh_formats.end(), "glb") != o.result.mesh_formats.end();
