@@ -7,7 +7,8 @@
 
 namespace vdbcarve {
 
-/// How much of an object at `point` (world) a pixel covers, world units: the median of the cameras that have it before them. 0: none has.
+/// The side of a pixel on an object at `point` (world), world units: the upper median of the cameras that have it before them, sqrt(fx fy) where pixels are
+/// not square. 0: none has.
 double pixel_size_at(const std::vector<Camera>& cameras, const Vec3d& point);
 
 }  // namespace vdbcarve

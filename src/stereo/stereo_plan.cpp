@@ -149,6 +149,8 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
                                      const std::vector<MaskView>& present, const std::vector<DistanceField>& fields, int scale, const Vec3d& object,
                                      const StereoOptions& o) {
     std::vector<StereoSource> out(inputs.size());
+    const auto rim_px = static_cast<float>(std::min(o.trust.rim_px * scale, 0.9 * kernel::kMarginReach_px)),
+               mixed_px = static_cast<float>(std::min(1.0 * scale, 0.9 * kernel::kMarginReach_px));
     tbb::parallel_for(size_t{0}, used.size(), [&](size_t u) {
         const size_t v = used[u];
         StereoSource& s = out[v];
@@ -159,11 +161,6 @@ std::vector<StereoSource> sources_of(const std::vector<ColorInput>& inputs, cons
         s.width = k.width_px;
         s.height = k.height_px;
         s.grey = grey_of_photo(photos[v], scale, s.width, s.height);
-    });
-    const auto rim_px = static_cast<float>(std::min(o.trust.rim_px * scale, 0.9 * kernel::kMarginReach_px)),
-               mixed_px = static_cast<float>(std::min(1.0 * scale, 0.9 * kernel::kMarginReach_px));
-    tbb::parallel_for(size_t{0}, used.size(), [&](size_t u) {
-        StereoSource& s = out[used[u]];
         const ImageView<uint8_t>& mask = present[u].coverage;
         s.object.assign(s.grey.size(), 0);
         for (int y = 0; y < s.height; ++y)

@@ -106,7 +106,7 @@ Pieces::Pieces(const openvdb::FloatGrid& surface, bool inside) : tree_(surface.t
     });
     for (const auto& pairs : touching)
         for (const auto& [here, there] : pairs) join(here, there);
-    std::vector<std::vector<uint32_t>> beside(tiles_.size());  // on the far side of each axis: the near side's tile sees it from there
+    std::vector<std::vector<uint32_t>> beside(tiles_.size());  // what touches a tile's faces to +x, +y and +z; the other three faces are found from there
     tbb::parallel_for(size_t{0}, tiles_.size(), [&](size_t t) {
         const auto [o, side] = tiles_[t];
         voxels_[first_[count] + t] += static_cast<int64_t>(side) * side * side;
