@@ -345,5 +345,24 @@ TEST(Stereo, FragmentsAreDroppedAndVoidsFilled) {
     EXPECT_EQ(component_volumes(*carved).size(), 2u);
 }
 
+// The inside of large objects is tiles: one of 128 voxels with smaller ones beside it on all sides is one piece.
+TEST(Stereo, FragmentsOfTilesAreDropped) {
+    openvdb::initialize();
+    openvdb::FloatGrid::Ptr hull = openvdb::FloatGrid::create(3.f), carved = openvdb::FloatGrid::create(3.f);
+    hull->sparseFill(openvdb::CoordBBox(openvdb::Coord(-8), openvdb::Coord(215)), -3.f, false);
+    carved->sparseFill(openvdb::CoordBBox({0, 0, 0}, {143, 135, 135}), -3.f, false);
+    for (const openvdb::Coord first : {openvdb::Coord(-8, 0, 0), openvdb::Coord(64, -8, 120), openvdb::Coord(24, 40, -8), openvdb::Coord(200, 200, 200)})
+        carved->tree().addTile(1, first, -3.f, false);
+    EXPECT_EQ(carved->tree().leafCount(), 0u);
+    EXPECT_EQ(component_volumes(*carved), (std::vector<double>{144 * 136 * 136 + 3 * 512, 512}));
+    const Fragments f = remove_fragments(*carved, *hull, 0.01);
+    EXPECT_EQ(f.fragments, 1u);
+    EXPECT_EQ(f.dropped_voxels, 512u);
+    EXPECT_EQ(f.voids, 0u);
+    EXPECT_EQ(carved->tree().getValue({203, 203, 203}), 3.f);
+    EXPECT_EQ(carved->tree().getValue({-4, 4, 4}), -3.f);
+    EXPECT_EQ(component_volumes(*carved), (std::vector<double>{144 * 136 * 136 + 3 * 512}));
+}
+
 }  // namespace
 }  // namespace vdbcarve::test
