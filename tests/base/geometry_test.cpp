@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "base/pixel_size.h"
 #include "vdbcarve/geometry.h"
 
 #include <Eigen/SVD>
@@ -80,6 +81,23 @@ TEST(Geometry, QuaternionsNeedNoUnitLengthButSome) {
     EXPECT_LT((rotation_from_quaternion(2, 0, 0, 2) - rotation_from_quaternion(0.5, 0, 0, 0.5)).norm(), 1e-12);
     EXPECT_THROW(rotation_from_quaternion(0, 0, 0, 0), InputError);
     EXPECT_FALSE(is_rotation(Vec3d(1, 1, -1).asDiagonal().toDenseMatrix()));
+}
+
+TEST(PixelSize, IsTheMedianOfTheCamerasThatHaveThePointBeforeThem) {
+    Camera near;  // at the origin, along +z
+    near.intrinsics = {100, 100, 0, 50, 50, 100, 100, false};
+    Camera far = near, behind = near, tall = near, parallel = near;
+    far.camera_from_world.translation = {0, 0, 6};
+    behind.camera_from_world.translation = {0, 0, -10};
+    tall.intrinsics.fy = 400;
+    parallel.intrinsics.orthographic = true;
+    const Vec3d point(0.5, 0, 2);
+    EXPECT_EQ(pixel_size_at({}, point), 0);
+    EXPECT_EQ(pixel_size_at({behind}, point), 0);
+    EXPECT_DOUBLE_EQ(pixel_size_at({near}, point), 0.02);
+    EXPECT_DOUBLE_EQ(pixel_size_at({near, behind, far, far}, point), 0.08);
+    EXPECT_DOUBLE_EQ(pixel_size_at({tall}, point), 0.01);
+    EXPECT_DOUBLE_EQ(pixel_size_at({parallel}, point), 0.01);
 }
 
 }  // namespace
