@@ -220,7 +220,7 @@ void spread(openvdb::Vec3SGrid& color, const openvdb::FloatGrid& surface, const 
     surface.tree().getNodes(leaves);
     std::vector<ColorLeaf*> color_leaves;
     color.tree().getNodes(color_leaves);
-    const auto neighbours = neighbours_of(leaves);
+    const auto neighbours = neighbours_of(leaves, numbers_of(leaves));
     const auto voxel = static_cast<float>(surface.voxelSize()[0]);
     const float deepest = -static_cast<float>(depth_vox) * voxel;
     std::vector<uint8_t> layers(leaves.size() * kLeafVoxels, kernel::kNoLayer);

@@ -20,7 +20,7 @@ using Leaf = openvdb::FloatTree::LeafNodeType;
 void grow_by_leaves(openvdb::FloatTree& tree) {
     std::vector<Leaf*> leaves;
     tree.getNodes(leaves);
-    const auto around = neighbours_of(leaves);
+    const auto around = neighbours_of(leaves, numbers_of(leaves));
     std::vector<uint8_t> wanted(leaves.size(), 0);
     tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t n) {
         const auto& mask = leaves[n]->valueMask();

@@ -97,7 +97,7 @@ openvdb::FloatGrid::Ptr redistance(openvdb::FloatGrid::Ptr hull, int half_width_
     std::vector<Leaf*> leaves;
     surface->tree().getNodes(leaves);
     const size_t count = leaves.size();
-    const auto neighbours = neighbours_of(leaves);
+    const auto neighbours = neighbours_of(leaves, numbers_of(leaves));
     const int passes = kernel::level_set_passes(solved_vox);
     progress.begin("level_set", static_cast<size_t>(passes) + 2);
     const VectorLoops& loops = vector_loops();

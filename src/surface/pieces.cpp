@@ -54,9 +54,8 @@ uint32_t label_leaf(const Leaf& leaf, bool inside, uint8_t* label) {
 Pieces::Pieces(const openvdb::FloatGrid& surface, bool inside) : tree_(surface.tree()), inside_(inside) {
     tree_.getNodes(leaves_);
     const size_t count = leaves_.size();
-    leaf_number_.reserve(2 * count);
-    for (size_t n = 0; n < count; ++n) leaf_number_.emplace(leaves_[n]->origin(), n);
-    const auto around = neighbours_of(leaves_);
+    leaf_number_ = numbers_of(leaves_);
+    const auto around = neighbours_of(leaves_, leaf_number_);
     labels_.resize(count * kVoxels);
     first_.assign(count + 1, 0);
     tbb::parallel_for(size_t{0}, count, [&](size_t n) { first_[n + 1] = label_leaf(*leaves_[n], inside_, labels_.data() + n * kVoxels); });
@@ -150,7 +149,7 @@ int64_t Pieces::in_leaf(size_t leaf, openvdb::Index n) const {
 }
 
 int64_t Pieces::at(const Coord& c) const {
-    if (const auto found = leaf_number_.find(c & ~7); found != leaf_number_.end()) return in_leaf(found->second, Leaf::coordToOffset(c));
+    if (const auto found = leaf_number_.find(c & ~7); found != leaf_number_.end()) return in_leaf(static_cast<size_t>(found->second), Leaf::coordToOffset(c));
     const int64_t tile = tile_at(c);
     return tile < 0 ? int64_t{-1} : int64_t{parent_[static_cast<size_t>(tile)]};
 }

@@ -47,7 +47,7 @@ class Pieces {
     const openvdb::FloatTree& tree_;
     bool inside_;
     std::vector<const openvdb::FloatTree::LeafNodeType*> leaves_;
-    std::unordered_map<openvdb::Coord, size_t> leaf_number_;
+    std::unordered_map<openvdb::Coord, int32_t> leaf_number_;
     std::vector<uint8_t> labels_;  ///< of a leaf's voxels
     std::vector<uint32_t> first_;  ///< piece of each leaf
     std::vector<Tile> tiles_;

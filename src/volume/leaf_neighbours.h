@@ -20,10 +20,9 @@ std::unordered_map<openvdb::Coord, int32_t> numbers_of(const std::vector<Leaf*>&
     return out;
 }
 
-/// The six face neighbours of every leaf by number, -1 where there is none: -x +x -y +y -z +z.
+/// The six face neighbours of every leaf by number (`number`: numbers_of() them), -1 where there is none: -x +x -y +y -z +z.
 template <class Leaf>
-std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leaves) {
-    const auto number = numbers_of(leaves);
+std::vector<std::array<int32_t, 6>> neighbours_of(const std::vector<Leaf*>& leaves, const std::unordered_map<openvdb::Coord, int32_t>& number) {
     std::vector<std::array<int32_t, 6>> out(leaves.size());
     tbb::parallel_for(size_t{0}, leaves.size(), [&](size_t n) {
         for (int f = 0; f < 6; ++f) {
