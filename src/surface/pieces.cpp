@@ -196,7 +196,7 @@ Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid&
     const float band = carved.background();
     std::vector<Leaf*> leaves;
     carved.tree().getNodes(leaves);
-    std::optional<Pieces> of_carved, of_before;
+    std::optional<Pieces> of_carved, of_before;  // made side by side: depths nearly always leave fragments, and then both are needed
     tbb::parallel_invoke(
         [&] {
             fill_voids(carved, before, leaves, out);
@@ -208,10 +208,10 @@ Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid&
     pieces.for_each([&](uint32_t, int64_t) { ++count; });
     if (count < 2) return out;
     std::map<int64_t, bool> drop;  // by piece
-    const auto is_dropped = [&](int64_t piece, const Coord& c) {
+    const auto is_dropped = [&](int64_t piece, const auto& first_voxel) {
         const auto [known, fresh] = drop.emplace(piece, false);
         if (fresh) {
-            const int64_t of = whole.at(c);
+            const int64_t of = whole.at(first_voxel());
             known->second = of >= 0 && static_cast<double>(pieces.voxels(piece)) < least_share * static_cast<double>(whole.voxels(of));
             if (known->second) ++out.fragments, out.dropped_voxels += static_cast<size_t>(pieces.voxels(piece));
         }
@@ -221,14 +221,12 @@ Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid&
     for (size_t l = 0; l < leaves.size(); ++l) {
         bool dropped = false;
         pieces.for_each_in_leaf(l, [&](int64_t piece) {
-            const auto known = drop.find(piece);
-            if (known != drop.end()) {
-                dropped = dropped || known->second;
-                return;
-            }
-            openvdb::Index n = 0;  // of the piece's first voxel
-            while (pieces.in_leaf(l, n) != piece) ++n;
-            dropped = is_dropped(piece, leaves[l]->offsetToGlobalCoord(n)) || dropped;
+            const auto first_voxel = [&] {
+                openvdb::Index n = 0;
+                while (pieces.in_leaf(l, n) != piece) ++n;
+                return leaves[l]->offsetToGlobalCoord(n);
+            };
+            dropped = is_dropped(piece, first_voxel) || dropped;
         });
         if (dropped) with_dropped.push_back(l);
     }
@@ -241,7 +239,7 @@ Fragments remove_fragments(openvdb::FloatGrid& carved, const openvdb::FloatGrid&
     });
     std::vector<std::pair<Coord, int>> tiles;
     for_inside_tiles(carved.tree(), [&](const Coord& origin, int side) {
-        if (is_dropped(pieces.at(origin), origin)) tiles.emplace_back(origin, side);
+        if (is_dropped(pieces.at(origin), [&] { return origin; })) tiles.emplace_back(origin, side);
     });
     for (const auto& [origin, side] : tiles) carved.tree().addTile(tile_level(side), origin, band, false);
     return out;
