@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Format of all sources, and clang-tidy over the sources that changed: tools/lint.sh [BASE]
+# Links of all pages, format of all sources, and clang-tidy over the sources that changed: tools/lint.sh [BASE]
 # BASE: a commit; default: where this branch left origin/main, or the commit before this one. Reads build/release/compile_commands.json (tools/build.sh writes it).
 # Of .clang-tidy's checks only those that it calls errors run here, as they are quick: 5 to 20 s a file. After VDBCARVE_LINT_SECONDS (120; 0: no limit) no further
 # file is begun, and those not reached are named. All checks: clang-tidy-14 -p build/lint FILE
@@ -8,6 +8,9 @@ cd "$(dirname "$0")/.."
 for tool in clang-format-14 clang-tidy-14; do
   command -v $tool >/dev/null || { echo "lint: $tool is not installed. Remedy: tools/install_deps.sh --dev" >&2; exit 2; }
 done
+
+echo "lint: links"
+tools/check_links.py
 
 echo "lint: format"
 git ls-files -z -- '*.h' '*.cpp' '*.cu' '*.cuh' | xargs -0 -n 16 -P "$(nproc)" clang-format-14 --dry-run -Werror ||
